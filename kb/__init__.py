@@ -35,7 +35,7 @@ from kb.records import (
     VetoAnswer,
 )
 from kb.status import Status
-from kb.store_file import StoreError
+from kb.store import StoreError
 
 __all__ = [
     "AmbiguousName",

@@ -10,11 +10,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+from kb.debounce import turning_point
 from kb.elements import KINDS, Constraint, Element, listed, text
 from kb.exceptions import UnknownName
 from kb.explanation.requirements import NOTHING, Box, Interval, Requirements, bounds
 from kb.facts import Contents, RequiredActionFact
-from kb.measurements import turning_point
 from kb.network import Network, Node
 from kb.status import Status
 
@@ -140,12 +140,12 @@ def _mismatches(actions: Collection[str], names: Iterable[str]) -> Iterator[Find
 
 def _incomplete(network: Network) -> Iterator[Finding]:
     for node in network.actions.values():
-        if not node.parts:
+        if not node.requires:
             yield found("action-without-functions", node, f"{node} requires no function")
     for node in network.designs.values():
-        if not node.parts:
+        if not node.requires:
             yield found(
-                "design-without-components", node, f"{node} of {node.wholes[0]} has no component"
+                "design-without-components", node, f"{node} of {node.used_by[0]} has no component"
             )
     rates = (
         (one.name, rate.while_)
@@ -171,8 +171,8 @@ def _unused(model: Contents, network: Network) -> Iterator[Finding]:
         for node in network.attributes.values()
         if not node.constraints and node.name not in used
     ]
-    functions = [node for node in network.functions.values() if not node.wholes]
-    components = [node for node in network.components.values() if not node.wholes]
+    functions = [node for node in network.functions.values() if not node.used_by]
+    components = [node for node in network.components.values() if not node.used_by]
     whats = (
         ("nothing depends on", attributes),
         ("no action requires", functions),
@@ -245,7 +245,7 @@ def _roots(
 ) -> Iterator[tuple[str, str]]:
     """Yield code and message of each reason why an element is impossible, except consequences of its parts."""
     if node.kind == "function":
-        if not node.parts:
+        if not node.requires:
             yield "function-without-designs", f"{node} has no design"
         return
     empty = [name for name, interval in bounds(node).items() if interval.is_empty]
@@ -254,7 +254,7 @@ def _roots(
             "contradictory-constraints",
             f"{node} is constrained by {_contradiction(node, attribute)}",
         )
-    broken = [part in impossible for part in node.parts]
+    broken = [part in impossible for part in node.requires]
     is_consequence = any(broken) and (all(broken) or node.kind != "component")
     if not empty and not is_consequence:
         yield "never-feasible", f"{node} can never be feasible: {_conflict(node, requirements)}"
@@ -279,7 +279,7 @@ def _consequence(node: Node, impossible: Collection[Node]) -> str:
     actions: list[str] = []
     while waiting and len(actions) <= MOST_ACTIONS:
         wholes = dict.fromkeys(
-            whole for one in waiting for whole in one.wholes if whole in impossible
+            whole for one in waiting for whole in one.used_by if whole in impossible
         )
         actions += [
             whole.name for whole in wholes if whole.kind == "action" and whole.name not in actions
@@ -297,10 +297,10 @@ def _conflict(node: Node, requirements: Requirements) -> str:
     }
     if node.kind == "component":
         needs["each of its configurations"] = tuple(
-            box for part in node.parts for box in requirements.of(part).boxes
+            box for part in node.requires for box in requirements.of(part).boxes
         )
     else:
-        for part in node.parts:
+        for part in node.requires:
             boxes = requirements.of(part).boxes
             needs[_needing(part, boxes)] = boxes
     for (one, mine), (other, theirs) in combinations(needs.items(), 2):
@@ -326,10 +326,10 @@ def _doubtful_choices(model: Contents, network: Network) -> Iterator[Finding]:
     for whole in (*network.functions.values(), *network.components.values()):
         if whole.kind == "component":
             yield from _excluded(whole)
-        if len(whole.parts) < 2:
+        if len(whole.requires) < 2:
             continue
         yield from _ties(whole)
-        by_part = {part: estimated.get(part, {}) for part in whole.parts}
+        by_part = {part: estimated.get(part, {}) for part in whole.requires}
         if not any(by_part.values()):  # a preference may select what priority never would
             yield from _dominated(whole)
         yield from _unevenly_estimated(whole, by_part, directly.get(whole, {}))
@@ -349,12 +349,12 @@ def _priority(node: Node) -> float:
 
 def _bounds_in_use(part: Node) -> dict[str, Interval]:
     """Return the intervals that satisfy a design or configuration and its components, by attribute."""
-    components = part.wholes if part.kind == "configuration" else part.parts
+    components = part.used_by if part.kind == "configuration" else part.requires
     return bounds(part, *components)
 
 
 def _ties(whole: Node) -> Iterator[Finding]:
-    for priority, group in groupby(sorted(whole.parts, key=_priority), key=_priority):
+    for priority, group in groupby(sorted(whole.requires, key=_priority), key=_priority):
         tied = list(group)
         if len(tied) < 2 or _exclude_one_another([_bounds_in_use(one) for one in tied]):
             continue
@@ -379,7 +379,9 @@ def _exclude_one_another(alternatives: Sequence[Bounds]) -> bool:
 
 def _excluded(component: Node) -> Iterator[Finding]:
     own = bounds(component)
-    parts = {part: mine for part in component.parts if not _is_contradictory(mine := bounds(part))}
+    parts = {
+        part: mine for part in component.requires if not _is_contradictory(mine := bounds(part))
+    }
     clashes = {
         part: next(
             (name for name in mine if name in own and mine[name].meet(own[name]).is_empty), None
@@ -402,14 +404,14 @@ def _is_contradictory(values: Bounds) -> bool:
 
 def _dominated(whole: Node) -> Iterator[Finding]:
     """Yield the parts that are never selected: a preferred one is feasible whenever they are."""
-    ranked = sorted(whole.parts, key=_priority)
+    ranked = sorted(whole.requires, key=_priority)
     offered = [(part, bounds(part)) for part in ranked[:PREFERRED]]
     for part in ranked:
         needed = _bounds_in_use(part)
         if _is_contradictory(needed):
             continue
         for one, own in offered:  # else a failure may rule out only the preferred one
-            is_within = part.kind == "configuration" or set(one.parts) <= set(part.parts)
+            is_within = part.kind == "configuration" or set(one.requires) <= set(part.requires)
             easier = all(
                 name in needed and interval.covers(needed[name]) for name, interval in own.items()
             )
@@ -429,7 +431,7 @@ def _estimated(model: Contents, network: Network) -> tuple[_Names, _Names]:
     estimated: _Names = {}
     for node in sorted(network.present(), key=lambda node: node.level) if directly else ():
         estimated[node] = dict(directly.get(node, {}))
-        for part in node.parts:
+        for part in node.requires:
             estimated[node] |= estimated.get(part, {})
     return directly, estimated
 
@@ -440,6 +442,6 @@ def _unevenly_estimated(
     for attribute in dict.fromkeys(name for names in by_part.values() for name in names):
         without = [part.name for part, names in by_part.items() if attribute not in names]
         if without and attribute not in directly:
-            kind = whole.parts[0].kind
+            kind = whole.requires[0].kind
             message = f"{attribute} is estimated for some {kind}s of {whole} but not for {listing(without)}"
             yield found("missing-estimation", whole, message)

@@ -1,8 +1,8 @@
-"""Facts in ROS diagnostics: ROSA's own texts, and everybody's by rules (the /diagnostics convention, REP 107).
+"""Facts in ROS diagnostics (REP 107): ROSA's own texts, and everybody's by rules.
 
 An array is an object or a mapping with `status`, or a list of statuses. A status has `message` and
-`values`, and may have `level` and `name`; its values are a mapping, pairs, or objects or mappings with
-`key` and `value`. So a message of rclpy, its JSON and a plain dict are all accepted.
+`values`, and may have `level` and `name`; its values are a mapping, pairs, or objects or mappings
+with `key` and `value`. So a message of rclpy, its JSON and a plain dict are all accepted.
 """
 
 import logging
@@ -139,7 +139,7 @@ class _Facts(_Elements, Protocol):
     def measure(self, attribute: str, value: float) -> None: ...
     def component_failed(self, component: str, reason: str = "") -> None: ...
     def component_recovered(self, component: str) -> None: ...
-    def tell(self, event: Event) -> None: ...
+    def replay(self, event: Event) -> None: ...
 
 
 class DiagnosticRules:
@@ -154,8 +154,9 @@ class DiagnosticRules:
         })
         kb.receive(array, rules=rules)
 
-    The first pattern that matches a name counts, with wildcards as in names of files. A component that several
-    names are about has failed if one of them says so, and recovers when none does any more.
+    The first pattern that matches a name counts, with wildcards as in names of files. A component
+    that several names are about has failed if one of them says so, and recovers when none does any
+    more.
 
     Args:
         table: for each pattern the name of a component, or the fields of a `DiagnosticRule`.
@@ -176,7 +177,7 @@ class DiagnosticRules:
         """By component: the names that say that it has failed, and why."""
 
     def check(self, kb: _Elements) -> None:
-        """Raise `UnknownName` if a rule names a component or attribute that the model does not have."""
+        """Raise `UnknownName` if a rule names what the model does not have."""
         for rule in self.rules.values():
             if rule.component:
                 _ = kb.components[rule.component]
@@ -251,7 +252,7 @@ def _record(kb: _Facts, fact: DiagnosticFact) -> None:
     if fact.verb == "measure":
         kb.measure(fact.name, fact.value)
     elif fact.verb == "stale":
-        kb.tell(Event(0, kb.now, "stale", (kb.attributes[fact.name].name,)))
+        kb.replay(Event(0, kb.now, "stale", (kb.attributes[fact.name].name,)))
     elif fact.verb == "component_recovered":
         kb.component_recovered(fact.name)
     elif kb.components[fact.name].status is not Status.FAILURE:
@@ -264,8 +265,9 @@ def read_diagnostics(
 ) -> list[DiagnosticFact | DiagnosticProblem]:
     """Return the facts in an array, and what could not be used; never raises.
 
-    Statuses that are neither ROSA's nor matched by the rules are passed over. Where an array contradicts
-    itself about a component or an attribute, the worse counts: failed, or not measured.
+    Statuses that are neither ROSA's nor matched by the rules are passed over. Where an array
+    contradicts itself about a component or an attribute, the worse counts: failed, or not
+    measured.
     """
     problems: list[DiagnosticFact | DiagnosticProblem] = []
     statuses = list(_statuses(array, problems))

@@ -219,7 +219,8 @@ class Log:
         self.witnesses: tuple[
             Callable[[Event], None], ...
         ] = ()  # hear of each by the thread that holds the base
-        self._most, self._span = memory.events, memory.span
+        self.capacity = memory.events
+        self._span = memory.span
         self._measured: deque[Event] = deque()
         self._others: deque[Event] = deque()
 
@@ -231,7 +232,7 @@ class Log:
             not events or events[-1].number < number
         ):  # no signal is handled between this and what follows
             events.append(event)
-        while len(events) > self._most or events[0].time < time - self._span:
+        while len(events) > self.capacity or events[0].time < time - self._span:
             self.begins = max(self.begins, events[0].number + 1)
             events.popleft()
         self.last, self.time = number, time
@@ -309,7 +310,7 @@ class Publisher:
 
         The number given is that of the event that this thread has just told.
         """
-        while any(one.heard < self._log.last for one in self._subscribers) and not self._is_held():
+        while any(one.heard < self._log.last for one in self._subscribers) and not self.is_held():
             turn: list[bool] = []
             try:
                 turn.extend(
@@ -353,8 +354,8 @@ class Publisher:
             self._subscribers.remove(subscriber)
         self.is_heard = bool(self._subscribers)
 
-    def _is_held(self) -> bool:
-        """Tell whether this thread holds the base, as within `with kb.reading()`: then nobody is called."""
+    def is_held(self) -> bool:
+        """Return whether this thread holds the base, as within `with kb.reading()`."""
         try:
             self._owned.notify(0)  # it is refused to whoever does not hold the lock
         except RuntimeError:

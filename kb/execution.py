@@ -1,4 +1,4 @@
-"""Carries out reconfiguration plans on the managed system; each turn does what it can without waiting."""
+"""Carries out reconfiguration plans on the managed system, without waiting."""
 
 import logging
 import math
@@ -29,7 +29,7 @@ _log = logging.getLogger(__name__)
 
 
 class RetryPolicy(NamedTuple):
-    """How many attempts a command has, how long each may take [s], and the pause after the first failure [s]."""
+    """How many attempts a command has, the time of each [s], and the first pause [s]."""
 
     attempts: int
     timeout: float
@@ -37,7 +37,7 @@ class RetryPolicy(NamedTuple):
 
 
 class Budgets:
-    """The most that what is selected and active may use by estimation, by name of attribute, also during a plan."""
+    """The most that what is selected and active may use, by name of attribute."""
 
     def __init__(self, budgets: Mapping[str, float] | None) -> None:
         if not isinstance(budgets, Mapping | None):
@@ -49,13 +49,14 @@ class Budgets:
     def allow(self, kb: KnowledgeBase, started: Collection[str], failed: Collection[str]) -> bool:
         """Return whether the budgets hold once the selection is carried out.
 
-        Then the components `started` are active too, and those that `failed` keep their old parameters.
+        Then the components `started` are active too, and those that `failed` keep their old
+        parameters.
         """
         loads = self._loads(kb, started, failed)
         return all(load <= Decimal(repr(self.most[name])) for name, load in loads.items())
 
     def are_eased(self, kb: KnowledgeBase, component: str, failed: Collection[str]) -> bool:
-        """Return whether an active component uses no more with its new parameters than with its present ones."""
+        """Return whether a component uses no more with its new parameters."""
         after = self._loads(kb, (), failed)
         before = self._loads(kb, (), {*failed, component})
         return all(load <= before[name] for name, load in after.items())
@@ -76,26 +77,27 @@ class Budgets:
 def _counts(
     kb: KnowledgeBase, state: State, causer: Node, started: Collection[str], failed: Collection[str]
 ) -> bool:
-    """Return whether an estimation counts: its design is selected, or its component is active and so configured."""
+    """Return whether an estimation counts: it is of what is selected and active."""
     if causer.kind == "function design":
-        return state.selected[causer.index]
-    component = causer if causer.kind == "component" else causer.wholes[0]
-    if component.name not in started and not state.active[component.index]:
+        return causer in state.selected
+    component = causer if causer.kind == "component" else causer.used_by[0]
+    if component.name not in started and component not in state.active:
         return False
     if causer is component:
         return True
-    is_configured = any(state.selected[part.index] for part in component.parts)
+    is_configured = any(part in state.selected for part in component.requires)
     if is_configured and component.name not in failed:
-        return state.selected[causer.index]
+        return causer in state.selected
     in_force = kb.components[component.name].parameters_in_force
     return dict(in_force) == dict(causer.element.parameters)
 
 
 class Quarantine:
-    """Configurations that failed; an asserted status makes each of them unfeasible until a hold [s] is over.
+    """Configurations that failed: each is asserted unfeasible until a hold [s] is over.
 
     Attributes:
-        components: the component of each configuration in quarantine, by name; up to date after `review`.
+        components: the component of each configuration in quarantine, by name; up to date after
+            `review`.
     """
 
     def __init__(self, hold: float) -> None:
@@ -106,7 +108,7 @@ class Quarantine:
         self._failed: set[str] = set()
 
     def put(self, kb: KnowledgeBase, configuration: str, reason: str) -> None:
-        """Assert that a configuration is unfeasible, and unselect it, because it is not in force."""
+        """Assert that a configuration is unfeasible, and unselect it: it is not in force."""
         view = kb.configurations[configuration]
         kb.assert_selected(view, False)
         with suppress(InvalidValue):  # the hold is over already
@@ -125,7 +127,7 @@ class Quarantine:
         self.review(kb)
 
     def review(self, kb: KnowledgeBase) -> None:
-        """Release the configurations whose component has recovered; forget those that are asserted no longer."""
+        """Release what has recovered, and forget what is asserted no longer."""
         if not self.components:
             return
         asserted = {}
@@ -133,10 +135,10 @@ class Quarantine:
         with kb.reading() as state:
             for name, component in self.components.items():
                 node = state.network.configurations.get(name)
-                if node is None or state.asserted[node.index] is not Status.UNFEASIBLE:
+                if node is None or state.asserted.get(node) is not Status.UNFEASIBLE:
                     continue
                 asserted[name] = component
-                if state.status[node.wholes[0].index] is Status.FAILURE:
+                if state.status[node.used_by[0]] is Status.FAILURE:
                     failed.add(component)
         recovered = self._failed - failed
         for name, component in asserted.items():
@@ -151,27 +153,30 @@ class Quarantine:
 class StagedExecutor:
     """Carries out plans in three stages: deactivate, set parameters, activate.
 
-    The commands of a stage are given together, and the next stage begins when all of them have ended. So a
-    component gets its parameters before it starts. A command that fails or takes too long is repeated later; so
-    is one that is reported done although the managed system denies it. When the last attempt fails, the commands
-    to other components are still carried out, and the plan ends as failed. A configuration whose parameters
-    cannot be set goes into quarantine, a component that cannot be switched is reported failed; so the planner
-    chooses the next best. The executor stops again what the plan started for a function that has become
-    unfeasible.
+    The commands of a stage are given together, and the next stage begins when all of them have
+    ended. So a component gets its parameters before it starts. A command that fails or takes too
+    long is repeated later; so is one that is reported done although the managed system denies it.
+    When the last attempt fails, the commands to other components are still carried out, and the
+    plan ends as failed. A configuration whose parameters cannot be set goes into quarantine, a
+    component that cannot be switched is reported failed; so the planner chooses the next best. The
+    executor stops again what the plan started for a function that has become unfeasible.
 
-    After an interrupt, such as Ctrl-C within a call, the next turn records commands without a known answer as
-    abandoned, and begins the plan's stages again; a command may then be given a second time.
+    After an interrupt, such as Ctrl-C within a call, the next turn records commands without a
+    known answer as abandoned, and begins the plan's stages again; a command may then be given a
+    second time.
 
     Args:
-        managed: what is commanded; a plain component is not switched, only recorded as active or not.
+        managed: what is commanded; a plain component is not switched, only recorded as active or
+            not.
         attempts: how many attempts a command has before it counts as failed.
         timeout: how long an attempt may take, in the time of the knowledge base's clock [s].
         timeout_by_component: the same for single components, by name [s].
         back_off: the pause after a failed attempt [s]; it doubles after each further failure.
         hold: how long a configuration that could not be set counts as unfeasible [s].
-        budgets: the most that what is selected and active may use by estimation, by name of attribute, also
-            during a plan: active components get their parameters one after the other, and the rest of a plan is
-            not carried out if it might exceed a budget because something failed.
+        budgets: the most that what is selected and active may use by estimation, by name of
+            attribute, also during a plan: active components get their parameters one after the
+            other, and the rest of a plan is not carried out if it might exceed a budget because
+            something failed.
     """
 
     def __init__(
@@ -214,10 +219,11 @@ class StagedExecutor:
         """Do what can be done of the pending plan without waiting.
 
         Raises:
-            UnknownName: a time-out was given for a component, or a budget for an attribute, that the model does
-                not have; at the first turn only.
-            ProtocolError: a method of the managed system or of an operation returned a value that the protocol
-                does not allow; the command is abandoned, and given again at the next turn.
+            UnknownName: a time-out was given for a component, or a budget for an attribute, that
+                the model does not have; at the first turn only.
+            ProtocolError: a method of the managed system or of an operation returned a value that
+                the protocol does not allow; the command is abandoned, and given again at the next
+                turn.
         """
         if self._is_under_way and self._plan is not None:
             self._begin_again(kb, self._plan)
@@ -229,7 +235,7 @@ class StagedExecutor:
         self._is_under_way = False
 
     def _begin_again(self, kb: KnowledgeBase, plan: ReconfigurationPlan) -> None:
-        """Abandon the attempts without a known answer after an interrupt, and begin the stages of the plan again."""
+        """Abandon attempts without a known answer after an interrupt, and begin again."""
         answered = [command.attempt for command in self._stage if command.is_answered]
         for attempt in kb.history.attempts:
             if attempt.end is None and attempt.plan is plan and attempt not in answered:
@@ -318,7 +324,7 @@ class StagedExecutor:
     def _staged(
         self, kb: KnowledgeBase, plans: Sequence[ReconfigurationPlan]
     ) -> Iterator[list["_Command"]]:
-        """Yield the stages of the latest open plan; the commands of each are decided when it begins."""
+        """Yield the stages of the latest open plan; each is decided when it begins."""
         plan = plans[-1]
         with kb.reading() as state:
             steps = _Steps.of(state, plans)
@@ -346,9 +352,10 @@ class StagedExecutor:
         configurations: Sequence[str],
         started: Sequence[str],
     ) -> Iterator[list["_Command"]]:
-        """Configure active components one after the other, first those that use no more of a budget than before.
+        """Configure active components one by one, first those that use no more than before.
 
-        A component that might exceed a budget, because another one has failed, is neither configured nor started.
+        A component that might exceed a budget, because another one has failed, is neither
+        configured nor started.
         """
         with kb.reading() as state:
             running = _running(state, configurations)
@@ -386,13 +393,13 @@ class StagedExecutor:
         names: Iterable[str],
         configurations: Iterable[str],
     ) -> list["_Command"]:
-        """Return commands to set the selected parameters, of components and of active ones of configurations."""
+        """Return commands to set the selected parameters."""
         selected: dict[str, Configuration] = {}
         with kb.reading() as state:
             running = _running(state, configurations)
             for name, node in _in_model(state, [*running, *names]).items():
-                for part in node.parts:
-                    if state.selected[part.index] and name not in self._failed:
+                for part in node.requires:
+                    if part in state.selected and name not in self._failed:
                         selected[name] = part.element
         return [
             _Command(
@@ -410,7 +417,7 @@ class StagedExecutor:
     def _rolled_back(
         self, kb: KnowledgeBase, plan: ReconfigurationPlan, started: Sequence[str]
     ) -> list["_Command"]:
-        """Stop and unselect what was started for functions that are unfeasible now: each plan would start it again."""
+        """Stop and unselect what was started in vain: each plan would start it again."""
         commanded = {
             attempt.component
             for attempt in kb.history.attempts
@@ -424,12 +431,12 @@ class StagedExecutor:
         with kb.reading() as state:
             nodes = _in_model(state, started).values()
             designs = {
-                design for node in nodes for design in node.wholes if state.selected[design.index]
+                design for node in nodes for design in node.used_by if design in state.selected
             }
             in_vain = [
                 design
                 for design in sorted(designs, key=lambda design: design.index)
-                if state.status[design.wholes[0].index] is Status.UNFEASIBLE
+                if state.status[design.used_by[0]] is Status.UNFEASIBLE
             ]
         for design in in_vain:
             kb.assert_selected(design.element, False)
@@ -437,8 +444,8 @@ class StagedExecutor:
             idle = [
                 name
                 for name, node in _in_model(state, started).items()
-                if state.active[node.index]
-                and not any(state.selected[design.index] for design in node.wholes)
+                if node in state.active
+                and not any(design in state.selected for design in node.used_by)
             ]
         return self._switches(kb, plan, "deactivate", [*unsure, *idle])
 
@@ -461,11 +468,11 @@ class _Steps(NamedTuple):
         configurations = state.network.configurations
         for older in plans[:-1]:
             for name, node in _in_model(state, [*older.activate, *older.deactivate]).items():
-                is_active = state.active[node.index]
-                if state.required[node.index] != is_active:
+                is_active = node in state.active
+                if state.is_required(node) != is_active:
                     (steps.stop if is_active else steps.start).append(name)
             for name in older.parameters:
-                if name in configurations and state.selected[configurations[name].index]:
+                if name in configurations and configurations[name] in state.selected:
                     steps.configurations.append(name)
         return steps
 
@@ -478,8 +485,8 @@ def _in_model(state: State, names: Iterable[str]) -> dict[str, Node]:
 def _running(state: State, configurations: Iterable[str]) -> dict[str, Node]:
     """Return the components of configurations that are in the model and active."""
     nodes = state.network.configurations
-    components = [nodes[name].wholes[0] for name in configurations if name in nodes]
-    return {node.name: node for node in components if state.active[node.index]}
+    components = [nodes[name].used_by[0] for name in configurations if name in nodes]
+    return {node.name: node for node in components if node in state.active}
 
 
 # -------------------------------------------------------------------- a command
@@ -487,7 +494,7 @@ def _running(state: State, configurations: Iterable[str]) -> dict[str, Node]:
 
 @dataclass(slots=True, eq=False)
 class _Command:
-    """A command to one component: repeated until it is done or has failed for good; each attempt is recorded.
+    """A command to one component, repeated until it is done or has failed for good.
 
     Attributes:
         managed: None for a plain component: nothing is commanded.
@@ -612,7 +619,7 @@ class _Command:
         return "failed", f"it was not done within {timeout:g} s"
 
     def _progress(self) -> tuple[bool, BaseException | None]:
-        """Return whether the operation has ended, and its error; a cancelled future raises when it is asked."""
+        """Return whether the operation has ended, and its error."""
         operation = self._operation
         if operation is None:
             return True, self._refusal

@@ -1,12 +1,12 @@
 """What an attribute will be, and until when an action stays feasible, as far as the past tells.
 
-Forecasts are computed when they are asked for, and depend only on what was measured and done until then.
-They only add caution: what is violated now stays violated.
+Forecasts are computed when they are asked for, and depend only on what was measured and done until
+then. They only add caution: what is violated now stays violated.
 
-A series of measurements is continued by a curve. Its interval is conformal (Vovk, Gammerman and Shafer,
-"Algorithmic learning in a random world", 2005): forecasts from earlier points of the series are compared
-with what was measured then. After misses it widens, after hits it narrows (Gibbs and Candes, "Adaptive
-conformal inference under distribution shift", NeurIPS 2021).
+A series of measurements is continued by a curve. Its interval is conformal (Vovk, Gammerman and
+Shafer, "Algorithmic learning in a random world", 2005): forecasts from earlier points of the
+series are compared with what was measured then. After misses it widens, after hits it narrows
+(Gibbs and Candes, "Adaptive conformal inference under distribution shift", NeurIPS 2021).
 """
 
 import logging
@@ -33,7 +33,7 @@ from kb.exceptions import InvalidValue
 from kb.explanation import shortest, why
 from kb.network import Node
 from kb.records import RequiredAction
-from kb.state import Overlay, State, propagate
+from kb.state import State
 from kb.status import OPERATORS, Status
 from kb.views import Readable
 
@@ -42,11 +42,11 @@ _log = logging.getLogger(__name__)
 LEVEL: Final = 0.9
 """How often an interval shall contain what comes."""
 _FEWEST_ERRORS, _MOST_ERRORS, _ERRORS_IN_HORIZON = 9, 40, 4
-"""How many errors an interval needs and takes; more within a horizon overlap, and are no evidence."""
+"""How many errors an interval needs and takes; more in a horizon would overlap."""
 _ADAPTATION: Final = 0.1
 """How quickly an interval adapts after a hit or a miss."""
 _REACH: Final = 4.0
-"""How many times further ahead than its errors a forecast goes; there its interval grows with time."""
+"""How many times further ahead than its errors a forecast goes."""
 _FEWEST_POINTS, _MOST_POINTS, _MOST_SAMPLES, _MOST_COMPUTED = 8, 24, 2048, 4096
 _JUMP: Final = 10.0
 """A step against the rates that is so many times the usual one restores an attribute."""
@@ -58,7 +58,7 @@ _WORSE, _EXPECTED, _BETTER = -1, 0, 1
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """The value of an attribute at a time [s], and how it gets there, in words with "{}" for its unit.
+    """The value at a time [s], and how it gets there, in words with "{}" for the unit.
 
     A guess uses a rate that was not learned yet.
     """
@@ -69,7 +69,7 @@ class Curve:
 
 
 class Expectation(NamedTuple):
-    """An expected value, how far it may be off (None if not known), and how it gets there, in words."""
+    """An expected value, how far it may be off if that is known, and how it gets there."""
 
     value: float
     radius: float | None
@@ -96,9 +96,9 @@ def line(time: float, value: float, slope: float, words: str = "") -> Curve:
 
 
 def slope_of(series: Series) -> float | None:
-    """Return the median of the slopes between any two points [1/s] (Theil 1950, Sen 1968); None for too few points.
+    """Return the median slope between two points [1/s]; None for too few points.
 
-    Nearly three in ten points may be arbitrarily wrong.
+    Nearly three in ten points may be arbitrarily wrong (Theil 1950, Sen 1968).
     """
     if len(series.times) < _FEWEST_POINTS:
         return None
@@ -112,7 +112,7 @@ def slope_of(series: Series) -> float | None:
 
 
 def jumps_in(series: Series) -> list[float]:
-    """Return when an attribute was restored, such as a battery [s]: it jumped, against its usual direction.
+    """Return when an attribute was restored [s]: it jumped against its usual direction.
 
     No forecast is judged by what came after that. What only comes back from an outlier is no jump.
     """
@@ -137,7 +137,7 @@ def constant(series: Series, _: float) -> Curve:
 
 
 def trend(series: Series, ahead: float) -> Curve | None:
-    """Continue a robust straight line through the latest measurements, over twice as long as it looks ahead [s]."""
+    """Continue a robust line through the measurements of twice the time ahead [s]."""
     end = series.times[-1]
     fewest = max(len(series.times) - _FEWEST_POINTS, 0)
     first = min(fewest, bisect_left(series.times, end - 2 * ahead))
@@ -150,7 +150,7 @@ def trend(series: Series, ahead: float) -> Curve | None:
 
 
 def by_function(function: ForecastFunction, series: Series) -> Curve:
-    """Continue as a function of the model's author says; an error in it is logged, and means unknown."""
+    """Continue as a function of the author says; an error is logged, and means unknown."""
     samples = tuple(zip(*series, strict=True))
 
     def value(then: float) -> float | None:
@@ -209,7 +209,7 @@ class SeriesForecast:
         return Expectation(value, radius, curve.words)
 
     def _radius(self, knot: int, ahead: float) -> float | None:
-        """Return how far a forecast may be off: learned at each doubling of the step, linear between."""
+        """Return how far a forecast may be off: linear between doublings of the step."""
         radii = self._radii
         while len(radii) <= knot and not self._is_complete:
             radius = _quantile(self._errors(self._step * 2.0 ** len(radii)))
@@ -226,7 +226,7 @@ class SeriesForecast:
         return None
 
     def _errors(self, ahead: float) -> list[float]:
-        """Return how far forecasts so far ahead [s] were off, by time; only of alike spans, if enough."""
+        """Return how far earlier forecasts were off; only those of alike spans, if enough."""
         times = self._series.times
         gap = max(self._step, ahead / _ERRORS_IN_HORIZON)
         errors: list[float] = []
@@ -278,7 +278,7 @@ class SeriesForecast:
 
 
 def _quantile(errors: Sequence[float]) -> float | None:
-    """Return the bound that the next error keeps as often as an interval shall; None for too few errors."""
+    """Return a bound of the next error at the level of intervals; None for too few."""
     chance = 1.0 - LEVEL
     radius = None
     for count in range(_FEWEST_ERRORS, len(errors) + 1):
@@ -337,11 +337,11 @@ class RateModel:
         self._pieces = self._find_pieces()
 
     def applying(self, actions: frozenset[str]) -> frozenset[str]:
-        """Return the names of the rates that apply while these actions are done; empty for the one that always does."""
+        """Return the names of the rates that apply; empty for the one that always does."""
         return frozenset(name for name in self._stated if not name or name in actions)
 
     def curve(self, place: int, ahead: float, doing: frozenset[str] | None) -> Curve:
-        """Continue from a place while actions are done; None: those that were done in the time ahead [s]."""
+        """Continue from a place while actions are done; None: those on record."""
         time = self._series.times[place]
         value = self._series.values[place]
         slopes, guesses = self._slopes(place)
@@ -365,7 +365,7 @@ class RateModel:
         return Curve(future.value, future.words, not guesses.isdisjoint(names))
 
     def _slopes(self, place: int) -> tuple[dict[str, float], set[str]]:
-        """Return the slope of each rate as known at a place, and the names of those that were not learned yet."""
+        """Return the slope of each rate at a place, and the names of those not yet learned."""
         slopes = dict(self._stated)
         pending = {rate.while_ for rate in self._element.rates if rate.learns}
         latest_first = [piece for piece in reversed(self._pieces) if piece[0] < place]
@@ -382,7 +382,7 @@ class RateModel:
         return slopes, pending
 
     def _find_pieces(self) -> list[tuple[int, int, frozenset[str]]]:
-        """Return the pieces of the series in which the same rates apply, without jumps and what is at a bound."""
+        """Return the pieces in which the same rates apply, without jumps and bounds."""
         times, values = self._series
         rates_of_step: list[frozenset[str] | None] = []
         for place in range(1, len(times)):
@@ -406,9 +406,10 @@ class RateModel:
 
 
 class Forecast(NamedTuple):
-    """The expected value of an attribute at a time [s, by the clock], its interval from low to high, and why.
+    """The expected value of an attribute at a time [s], its interval, and why.
 
-    `level` is how often the interval contains what comes. Value, low and high are None where they are not known.
+    `level` is how often the interval contains what comes. Value, low and high are None where they
+    are not known.
     """
 
     attribute: str
@@ -424,10 +425,11 @@ class Forecast(NamedTuple):
 
 
 class FeasibleUntil(NamedTuple):
-    """When an action is expected to become unfeasible [s, by the clock], and why; None: not `within` s from `now`.
+    """When an action is expected to become unfeasible [s], and why; None: not within the horizon.
 
-    `earliest` is for attributes at the worse ends of their intervals, `latest` for the better ends; `is_bounded` says
-    whether the interval of the attribute that makes the action unfeasible is known.
+    `earliest` is for attributes at the worse ends of their intervals, `latest` for the better
+    ends; `is_bounded` says whether the interval of the attribute that makes the action unfeasible
+    is known.
     """
 
     action: str
@@ -463,7 +465,7 @@ class FeasibleUntil(NamedTuple):
 class Forecaster:
     """Predicts attributes of a knowledge base; called, it forecasts one attribute."""
 
-    def __init__(self, base: Any) -> None:  # noqa: ANN401  # a `KnowledgeBase`, which is made with this
+    def __init__(self, base: Any) -> None:  # noqa: ANN401  # a KnowledgeBase, made with this
         self._base = base
         self._forecasts: dict[str, tuple[object, SeriesForecast | str]] = {}
         self._computed: dict[object, Any] = {}
@@ -472,13 +474,13 @@ class Forecaster:
     def __call__(
         self, attribute: str, horizon: float, *, doing: Iterable[str] | None = None
     ) -> Forecast:
-        """Forecast an attribute `horizon` s from now, while actions are done; by default those required now."""
+        """Forecast an attribute `horizon` s from now, by default with the required actions."""
         now = self._base.now
         then = now + _horizon(horizon)
         return self.at(attribute, then, now, self.doing(doing))
 
     def doing(self, actions: Iterable[str] | None) -> frozenset[str]:
-        """Return the names of the actions that are done meanwhile; by default those required now."""
+        """Return the names of the actions done meanwhile; by default those required now."""
         if actions is None:
             return frozenset(request.action for request in self._base.required_actions)
         names = (
@@ -595,17 +597,18 @@ class Forecaster:
 def feasible_until(
     base: Readable, action: str, within: float = 300.0, *, doing: Iterable[str] | None = None
 ) -> FeasibleUntil:
-    """Say until when an action stays feasible, looking ahead by `within` [s], while the actions of `doing` are done.
+    """Return until when an action stays feasible, looking ahead by `within` [s].
 
-    By default these are the actions that are required now, or only this one if it is not among them.
+    Meanwhile the actions of `doing` are done: by default those required now, or only this one if
+    it is not among them.
     """
     now = base.now
     ahead = _horizon(within)
     with base.reading() as state:
         node = state.network.actions[action]
-        if state.status[node.index] is Status.UNFEASIBLE:
+        if state.status[node] is Status.UNFEASIBLE:
             return FeasibleUntil(node.name, now, now, now, why(state, node, now), now, ahead)
-        if doing is None and not state.requested[node.index]:
+        if doing is None and node not in state.requested:
             doing = (node.name,)
         search = _Search(base, state, node, now, ahead, base.forecast.doing(doing))
         expected = search.first(_EXPECTED)
@@ -634,7 +637,7 @@ class _Unfeasible(NamedTuple):
 
 
 class _Search:
-    """Looks for the first instant at which an action is unfeasible, by the forecasts of what it needs."""
+    """Looks for the first instant at which an action is unfeasible by the forecasts."""
 
     def __init__(
         self,
@@ -651,13 +654,13 @@ class _Search:
         self._is_unfeasible_with: dict[tuple[Node, ...], bool] = {(): False}
         self._expected: dict[Node, Callable[[float], Expectation | None]] = {}
         for constraint in dict.fromkeys(_constraints(action)):
-            forecast = base.forecast.series_forecast(constraint.parts[0].name, doing)
-            is_satisfied = state.status[constraint.index] is Status.SATISFIED
+            forecast = base.forecast.series_forecast(constraint.requires[0].name, doing)
+            is_satisfied = state.status[constraint] is Status.SATISFIED
             if is_satisfied and not isinstance(forecast, str):
                 self._expected[constraint] = cache(forecast.at)
 
     def first(self, side: int) -> _Unfeasible | None:
-        """Return the first instant for attributes at one end of their intervals; None if not in the horizon."""
+        """Return the first instant, for one end of the intervals; None if there is none."""
         for before, time in pairwise(self._instants):
             if not self._is_unfeasible(time, side):
                 continue
@@ -692,17 +695,17 @@ class _Search:
     def _is_unfeasible(self, time: float, side: int) -> bool:
         nodes = self._violated(time, side)
         if nodes not in self._is_unfeasible_with:
-            layer = Overlay(self._state)
+            supposed = self._state.copy()
             for node in nodes:
-                layer.verdict[node.index] = Status.VIOLATED
-            propagate(layer, nodes)
-            status = layer.status[self._action.index]
+                supposed.hold(node, Status.VIOLATED)
+            supposed.infer()
+            status = supposed.status[self._action]
             self._is_unfeasible_with[nodes] = status is Status.UNFEASIBLE
         return self._is_unfeasible_with[nodes]
 
 
 def _is_violated(node: Node, expected: Expectation | None, side: int) -> bool:
-    """Return whether a constraint is violated by what is expected, or at the worse or better end of its interval."""
+    """Return whether a constraint is violated at one end of an expected interval."""
     if expected is None:
         return False
     constraint = node.constraint
@@ -718,28 +721,28 @@ def is_violated_then(constraint: Constraint, forecast: Forecast) -> bool:
     return value is not None and not OPERATORS[constraint.operator](value, constraint.value)
 
 
-def suppose_forecast(state: State, node: Node, forecast: Forecast) -> Sequence[Node]:
-    """Enter what is forecast for an attribute in a layer; returns the constraints whose status it may change.
+def suppose_forecast(state: State, node: Node, forecast: Forecast) -> None:
+    """Enter what is forecast for an attribute in a copy of a state.
 
-    A constraint is violated if it is now, or if the worse end of the interval violates it, and else stays as it is.
+    A constraint is violated if it is now, or if the worse end of the interval violates it, and
+    else stays as it is.
     """
     if forecast.value is None:
-        return ()
+        return
     for constraint in node.constraints:
         if is_violated_then(constraint.constraint, forecast):
-            state.verdict[constraint.index] = Status.VIOLATED
+            state.hold(constraint, Status.VIOLATED)
         else:
-            state.verdict[constraint.index] = state.status[constraint.index]
-    state.value[node.index] = forecast.value
-    state.time[node.index] = None
+            state.hold(constraint, state.status[constraint])
+    state.value[node] = forecast.value
+    state.time.pop(node, None)
     state.give_reason("forecast", node, forecast.reason)
-    return node.constraints
 
 
 def _constraints(node: Node) -> Iterator[Node]:
     """Yield the constraints on an element and on what it needs."""
     yield from node.constraints
-    for part in node.parts:
+    for part in node.requires:
         yield from _constraints(part)
 
 

@@ -1,29 +1,53 @@
-"""The knowledge base: it takes in facts, infers statuses, and keeps the required actions and what is selected."""
+"""The knowledge base: it records facts, and answers what follows from them.
 
+Every method that records something decides first, without changing anything. Then it records one
+event, in a single step: from there on the event is in. Then it applies the event. Applying only
+assigns, so that whoever comes next can repeat what an interrupt cut short.
+"""
+
+import copyreg
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import wraps
-from math import inf, isfinite
+from itertools import starmap
+from math import inf, isfinite, nextafter
+from operator import attrgetter
 from pathlib import Path
-from threading import RLock
+from threading import Lock, RLock
+from types import MappingProxyType
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 from weakref import finalize
 
-from kb import questions, views
+from kb import facts, questions, views
+from kb.debounce import NEVER, Alarms
 from kb.diagnostics import DiagnosticProblem, DiagnosticRules, record_diagnostics
-from kb.elements import Parameters, finite_number, flag, status_of, table, text, whole
+from kb.elements import (
+    Action,
+    Attribute,
+    Constraint,
+    Element,
+    Estimation,
+    Parameters,
+    finite_number,
+    flag,
+    status_of,
+    table,
+    text,
+    whole,
+)
 from kb.elements import parameters as checked_parameters
-from kb.events import Event, Log, Publisher
+from kb.events import RECORDS, Event, Log, Publisher
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
-from kb.explanation import why, why_selected
+from kb.explanation import reading as reading_in_words
+from kb.explanation import staleness, why, why_selected
 from kb.forecast import Forecaster, feasible_until
-from kb.knowledge import Knowledge, Reading
-from kb.model import Model, amend
-from kb.network import Node
+from kb.model import Model, amend, amendment
+from kb.network import Network, Node, Ref
 from kb.ontology import Answer, Ontology
+from kb.owl import Serials
 from kb.planning import by_owner, decide
-from kb.questions import ELEMENTS, Meant, meant, outline
+from kb.questions import ELEMENTS, ElementLike, outline, resolve
 from kb.records import (
     RESULTS,
     Attempt,
@@ -37,73 +61,125 @@ from kb.records import (
     VetoAnswer,
     check_result,
 )
-from kb.state import State
+from kb.state import Reason, State
 from kb.status import Status
-from kb.store import HELD_OVER_FORKS, KEPT, Store
+from kb.store import KEPT, LOCKS_HELD_OVER_FORKS, Store
 
-_BY_ITSELF: Final = frozenset({"dwell", "lapse", "begin", "store"})
-"""The verbs of events that are caused by time, by the model or by the store, and never told by a caller."""
-_TOLD: Final = {"measure": "measure", "amend": "_amend"}
-"""The name of the method for each verb that can be told; `_telling` adds the others."""
+INTERNAL: Final = frozenset({"begin", "store"})
+"""The verbs of events that the model or the store causes; nobody records them again."""
+_REPLAYABLE: Final = {"measure": "measure", "amend": "_amend"}
+"""The method for each verb that can be recorded again; `_update` adds the others."""
 _PLAIN: Final = (str, int, views.ElementView)
-"""Most arguments are of these classes, and to ask whether something is a mapping takes long."""
+"""Most arguments are of these classes, and to ask whether one is a mapping takes long."""
 _OPERATIONS: Final = ("activate", "deactivate", "configure")
+_REENTRANT: Final = (
+    "re-entrant call during an update: a signal handler or finalizer cannot ask or record "
+    "anything in the midst of an event; do that later"
+)
+_CLOCK_SLACK_S: Final = 1.0
+"""How far a clock may go back: clocks are corrected, and threads may be overtaken [s]."""
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def _telling(
+def _read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(values)
+
+
+copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
+
+
+def _update(
     method: Callable[Concatenate["KnowledgeBase", P], T],
 ) -> Callable[Concatenate["KnowledgeBase", P], T]:
-    """Make a method tell facts: hold the lock, make the events that are due, run it, then call the subscribers.
+    """Make a method record facts: hold the lock, record what is due, run it, call subscribers.
 
-    The clock, the mappings among the arguments and the subscribers are foreign code, which may wait for another
-    thread. So they are called without the lock.
+    The clock, mappings among the arguments and subscribers are foreign code, which may wait for
+    another thread. So they are called without the lock.
     """
-    _TOLD[method.__name__.removeprefix("_")] = method.__name__
+    _REPLAYABLE[method.__name__.removeprefix("_")] = method.__name__
 
     @wraps(method)
-    def held(self: "KnowledgeBase", *args: P.args, **kwargs: P.kwargs) -> T:
-        given = [_own(value) for value in args]
-        caused = {name: _own(value) for name, value in kwargs.items()} if kwargs else kwargs
-        known = self._knowledge
-        now = known.time()
+    def updating(self: "KnowledgeBase", *args: P.args, **kwargs: P.kwargs) -> T:
+        arguments = [_copied(value) for value in args]
+        keywords = {name: _copied(value) for name, value in kwargs.items()}
+        now = self._read_clock()
         with self._lock:
-            if self.store is not None:
-                self._check_open(self.store)
-            known.settle(now)
-            with known.telling:
-                before = known.log.last
-                result = method(self, *given, **caused)  # type: ignore[arg-type]  # the same arguments
-                told = known.log.last
-        if self._publisher.is_heard:
-            self._publisher.deliver(told if told > before else 0)
+            self._check_open()
+            self._prepare(now)
+            with self._updating:
+                result = method(self, *arguments, **keywords)  # type: ignore[arg-type]  # copies
+            last = self.log.last
+        self._publish(last)
         return result
 
-    return held  # type: ignore[return-value]  # nobody passes self by name
+    return updating  # type: ignore[return-value]  # nobody passes self by name
 
 
-def _own(value: object) -> object:
-    return value if isinstance(value, _PLAIN) or not isinstance(value, Mapping) else dict(value)
+def _copied(value: object) -> object:
+    return dict(value) if not isinstance(value, _PLAIN) and isinstance(value, Mapping) else value
+
+
+class Reading:
+    """A context manager that gives a state while it holds a lock.
+
+    Python handles a signal between two instructions, never within a C function. So one C call
+    takes the lock and notes that, and another one gives it back: no interrupt leaves it taken.
+    """
+
+    def __init__(self, lock: Any, state: Callable[[], State]) -> None:  # noqa: ANN401  # an RLock has no type
+        self._lock = lock
+        self._state = state
+
+    def __enter__(self) -> State:
+        taken: list[Any] = []
+        try:
+            taken.extend(starmap(self._lock.__enter__, ((),)))
+            return self._state()
+        except BaseException:
+            if taken:
+                self._lock.__exit__(None, None, None)
+            raise
+
+    __exit__ = property(attrgetter("_lock.__exit__"))
+
+
+class _ModelObserver:
+    """Passes changes of the model on to a knowledge base."""
+
+    def __init__(self, kb: "KnowledgeBase") -> None:
+        self._kb = kb
+
+    def prepare(self) -> None:
+        self._kb._catch_up_with_time()
+
+    def amended(self, change: facts.Amended) -> None:
+        self._kb._record_amendment(change)
+
+    def heard(self) -> None:
+        self._kb._publish()
 
 
 class KnowledgeBase:
     """What is known about a robot now, and what follows from it.
 
     Args:
-        model: what the robot is made of and can do. It may be amended later; the next question sees the change.
-        clock: returns the time [s]; facts, requests and plans get their times from it. By default it is the time of
-            day, in seconds since 1970-01-01 UTC.
-        store: the file that keeps the log; the base continues from what is in it. See `flush` and `close`.
+        model: what the robot is made of and can do. It may change later; the next answer sees it.
+        clock: returns the time [s]; facts, requests and plans get their times from it. By default
+            it is the time of day, in seconds since 1970-01-01 UTC.
+        store: the file that keeps the log; the base continues from it. See `flush` and `close`.
         keep: how many measurements of each attribute the store keeps; it keeps the newest.
         memory: how much of the past is held in memory.
+        is_timed: whether time causes events by itself; False for a replay, in which the recorded
+            events of time are replayed in their places, and nowhere else.
 
-    Time does not go back, so that facts keep the order in which they are told: if the clock goes back up to a second,
-    time stands still until the clock has caught up. A clock that goes back further, or returns no time, is refused.
+    Time does not go back, so that facts keep their order: if the clock goes back up to a second,
+    time stands still until the clock has caught up. A clock that goes back further is refused.
 
-    Facts may be told from any thread; each call holds the lock until all that follows from the fact is inferred. Each
-    fact is in or out: if a call is interrupted, the base answers as if the fact was told, or as if it was not.
+    Facts may be recorded from any thread; each call holds the lock until all that follows is
+    inferred. Each fact is in or out: if a call is interrupted, the base answers as if the fact was
+    recorded, or as if it was not.
 
     Attributes:
         model: the model as it is now.
@@ -122,6 +198,7 @@ class KnowledgeBase:
         store: str | Path | None = None,
         keep: int = KEPT,
         memory: Memory | None = None,
+        is_timed: bool = True,
     ) -> None:
         if not isinstance(model, Model):
             raise InvalidValue(f"a knowledge base is made of a kb.Model, not of {model!r}")
@@ -135,59 +212,59 @@ class KnowledgeBase:
                 f"how much is held in memory is said by a kb.Memory, not by {memory!r}"
             )
         model.settle()
+        memory = memory or Memory()
         self.model = model
+        self._clock = clock
         self._lock = RLock()
+        self._updating = Lock()  # held, with the other one, while this thread records an event
         self.store = None if store is None else Store(store, model, keep)
-        self._knowledge = known = Knowledge(model, clock, self._lock, memory)
-        known.now = now = known.time()
-        if self.store is not None and not self.store.is_new:
-            self.store.restore(known, now)
-            known.log.time = -inf  # the clock may have started again at 0
-        elif model.facts:
-            known.begin(model.facts, now)
-        self._publisher = Publisher(known.log, self._lock)
-        known.heard = self._publisher.deliver
-        self._held = Reading(self._lock, known.settled)
+        self._network = network = Network(model)
+        self._serials = Serials.of(model)
+        self._state = State(network, memory)
+        self._records = Records(memory)
+        self._alarms = Alarms(is_timed)
+        self._is_timed = is_timed
+        self._event: Event | None = None  # recorded, and not applied completely
+        self._amendment: tuple[facts.Amended, Sequence[Node]] | None = None
+        self._revision = 0
+        self._changed_by: dict[Node, int] = {}  # the last event that changed its status
+        self._feasibility: int | None = None  # the last event that changed an action's feasibility
+        self._is_closed = False
+        self.log = Log(memory, self._lock, self._complete)
+        self._now = self._read_clock()
+        self._publisher = Publisher(self.log, self._lock)
+        self._words_wanted = False
+        self._reading = Reading(self._lock, self._settled)
         self.forecast = Forecaster(self)
-        self._ontology, self._is_closed = Ontology(self), False
-        self.log: Log = known.log
-        self.history = HistoryView(known.records, self.reading)
-        network = known.network
+        self.history = HistoryView(self._records, self.reading)
         self.actions = views.Views(self, network.actions, views.ActionView)
         self.functions = views.Views(self, network.functions, views.FunctionView)
         self.components = views.Views(self, network.components, views.ComponentView)
         self.designs = views.Views(self, network.designs, views.DesignView)
         self.configurations = views.Views(self, network.configurations, views.ConfigurationView)
         self.attributes = views.Views(self, network.attributes, views.AttributeView)
-        model.watch(known)
-        HELD_OVER_FORKS[self._lock] = -1.0
+        if self.store is not None and not self.store.is_new:
+            self.store.restore(self, self._now)
+        elif model.facts:
+            self._begin(model.facts, self._now)
+        self._ontology = Ontology(self)
+        self._observer = _ModelObserver(self)
+        model.watch(self._observer)
+        LOCKS_HELD_OVER_FORKS[self._lock] = -1.0
         if self.store is not None:
-            self.store.start(known, self._lock)
+            self.store.start(self, self._lock)
             finalize(self, self.store.close)
-            self._catch_up()  # with the events that came due meanwhile
+            self._catch_up_with_time()  # with the events that came due meanwhile
 
     # ---------------------------------------------------------------- asked
 
     def is_feasible(self, action: str) -> bool:
         """Tell whether an action can be done now: its status is not "unfeasible"."""
-        known, network = self._knowledge, self._knowledge.network
-        revision, visited, statuses = network.revision, known.state.visited, known.state.status
-        if (
-            self.model.pending is None
-            and known.pending is None
-            and known.measurements.alarms.next == inf
-        ):
-            node = network.actions.get(action)
-            status = (
-                statuses[node.index] if node is not None and network.revision == revision else None
-            )
-            if status is not None and (network.revision, known.state.visited) == (
-                revision,
-                visited,
-            ):
-                return (
-                    status is not Status.UNFEASIBLE
-                )  # a single read needs no lock unless inference runs
+        if self.model.pending is None and self._event is None and self._alarms.next == NEVER:
+            node = self._network.actions.get(action)
+            status = None if node is None else self._state.status.get(node)
+            if status is not None:  # a single read needs no lock
+                return status is not Status.UNFEASIBLE
         return questions.is_feasible(self, action)
 
     selectable_actions = questions.selectable_actions
@@ -207,10 +284,10 @@ class KnowledgeBase:
         """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
         if self.model.pending is not None:
             self.model.settle()
-        due = self._knowledge.measurements.alarms.next
-        if due != inf and due <= self._knowledge.time():
-            self._catch_up()
-        return self._held
+        may_be_due = self._alarms.next != NEVER and not self._publisher.is_held()
+        if may_be_due and self._alarms.next <= self._read_clock():
+            self._catch_up_with_time()
+        return self._reading
 
     def __repr__(self) -> str:
         with self.reading() as state:
@@ -218,21 +295,16 @@ class KnowledgeBase:
 
     def _repr_html_(self) -> str:
         with self.reading() as state:
-            rows = [
-                (
-                    node.kind,
-                    node.name,
-                    state.value[node.index]
-                    if node.kind == "attribute"
-                    else state.status[node.index],
-                    ", ".join(
-                        word
-                        for word in ("required", "selected", "active")
-                        if getattr(state, word)[node.index]
-                    ),
-                )
-                for node in state.network.present()
-            ]
+            rows = []
+            for node in state.network.present():
+                flags = {
+                    "required": state.is_required(node),
+                    "selected": node in state.selected,
+                    "active": node in state.active,
+                }
+                words = ", ".join(flag for flag, is_so in flags.items() if is_so)
+                shown = state.status.get(node, state.value.get(node))
+                rows.append((node.kind, node.name, shown, words))
             return table(
                 f"{self.model.name}: {outline(state)}",
                 ("kind", "name", "status or value", "and"),
@@ -242,38 +314,43 @@ class KnowledgeBase:
     @property
     def now(self) -> float:
         """The time by the clock [s]."""
-        return self._knowledge.time()
+        return self._read_clock()
 
     @property
     def revision(self) -> int:
         """Grows whenever a fact changes that can matter to a planner; a measurement counts only if a status changes."""
         self.reading()  # makes the events that are due; a single read needs no lock
-        return self._knowledge.revision
+        return self._revision
 
     @property
     def required_actions(self) -> tuple[RequiredAction, ...]:
         """The actions that are required now, in the order of their requests."""
-        return tuple(self._records().required.values())
+        with self.reading():
+            return tuple(self._records.required.values())
 
     @property
     def plans(self) -> tuple[ReconfigurationPlan, ...]:
         """All plans, in the order in which they were made."""
-        return tuple(self._records().plans.values())
+        with self.reading():
+            return self._records.plans.all()
 
     @property
     def latest_plan(self) -> ReconfigurationPlan | None:
         """The plan that was made last."""
-        return next(reversed(self._records().plans.values()), None)
+        with self.reading():
+            return next(self._records.plans.newest_first(), None)
 
     @property
     def pending_plan(self) -> ReconfigurationPlan | None:
         """The latest plan that has not ended."""
-        return next(reversed(self._records().open_plans.values()), None)
+        with self.reading():
+            return next(reversed(self._records.open_plans.values()), None)
 
     @property
     def processes(self) -> tuple[Process, ...]:
-        """All processes in which components ran or run, in the order in which they were started."""
-        return tuple(self._records().processes.values())
+        """All processes in which components ran or run, in the order of their starts."""
+        with self.reading():
+            return self._records.processes.all()
 
     def query(self, sparql: str, timeout: float = 10.0) -> list[tuple[Answer, ...]]:
         """Answer a SPARQL query over the model, all facts that were told, and the statuses that follow from them.
@@ -301,56 +378,53 @@ class KnowledgeBase:
     # ---------------------------------------------------------------- told: what is so
 
     def measure(self, attribute: str, value: float) -> None:
-        """Tell that an attribute was measured just now.
+        """Record a measurement.
 
         Raises:
             UnknownName: the model has no such attribute.
             InvalidValue: the value is not a finite number or is outside the attribute's range; nothing is told.
         """
-        known = self._knowledge
-        node = known.network.attributes[attribute]
-        of: Any = node.element
-        is_plain = type(value) is float and isfinite(value) and of.low <= value <= of.high
-        number = (
-            value
-            if is_plain
-            else questions.number(f"{attribute} cannot be measured as", value, node)
-        )
-        now = known.time()
+        node = self._network.attributes[attribute]
+        element: Any = node.element
+        if not (type(value) is float and isfinite(value) and element.low <= value <= element.high):
+            value = questions.number(f"{attribute} cannot be measured as", value, node)
+        now = self._read_clock()
         with self._lock:
-            if self.store is not None:
-                self._check_open(self.store)
-            known.settle(now)
-            with known.telling:
-                told = known.measure(
-                    known.network.attributes[attribute], number, known.now
-                ).number  # if still there
-        if self._publisher.is_heard:
-            self._publisher.deliver(told)
+            self._check_open()
+            self._prepare(now)
+            with self._updating:
+                node = self._network.attributes[attribute]  # if it is still there
+                words = ""
+                if self._words_wanted:
+                    around = self._network.thresholds(node).around(value)
+                    words = f"{attribute} is {reading_in_words(value, around, node)}"
+                last = self._record("measure", (node.name, value), words=words).number
+        self._publish(last)
 
-    @_telling
+    @_update
     def component_failed(self, component: str, reason: str = "") -> None:
-        """Tell that a component has failed; explanations and the store give the reason, in words."""
+        """Record that a component has failed; explanations and the store give the reason, in words."""
         text("the reason of a failure", reason)
-        node, state = self._component(component), self._knowledge.state
-        is_known = state.failed[node.index] and reason in ("", state.reason("failed", node).text)
-        if not is_known:
-            self._tell("component_failed", node.name, reason)
+        node = self._component(component)
+        is_news = reason not in ("", self._state.reason("failed", node).text)
+        if is_news or node not in self._state.failed:
+            self._record("component_failed", (node.name, reason))
 
-    @_telling
+    @_update
     def component_recovered(self, component: str) -> None:
-        """Tell that a component works again after a failure."""
-        node, state = self._component(component), self._knowledge.state
-        if state.failed[node.index] or state.asserted[node.index] is Status.FAILURE:
-            self._tell("component_recovered", node.name)
+        """Record that a component works again after a failure."""
+        node = self._component(component)
+        state = self._state
+        if node in state.failed or state.asserted.get(node) is Status.FAILURE:
+            self._record("component_recovered", (node.name,))
 
-    @_telling
+    @_update
     def component_active(self, component: str, active: bool, reason: str = "") -> None:
-        """Tell whether a component is running; if it is not, explanations give the reason, in words."""
+        """Record whether a component is running; if it is not, explanations give the reason, in words."""
         node = self._component(component)
         text("the reason why a component is not active", reason)
-        if self._knowledge.state.active[node.index] != flag("active", active, InvalidValue):
-            self._tell("component_active", node.name, active, reason)
+        if (node in self._state.active) != flag("active", active, InvalidValue):
+            self._record("component_active", (node.name, active, reason))
 
     def receive(
         self, diagnostics: object, *, rules: DiagnosticRules | None = None
@@ -367,12 +441,16 @@ class KnowledgeBase:
         """
         problems = record_diagnostics(self, diagnostics, rules)
         with self._lock:
-            self._knowledge.records.rejected += len(problems)
+            self._records.rejected += len(problems)
         return problems
 
-    @_telling
+    @_update
     def assert_status(
-        self, element: Meant, status: Status | str, reason: str = "", until: float | None = None
+        self,
+        element: ElementLike,
+        status: Status | str,
+        reason: str = "",
+        until: float | None = None,
     ) -> None:
         """Set an element's status; it replaces the inferred status until it is retracted or lapses.
 
@@ -386,37 +464,41 @@ class KnowledgeBase:
         end = None if until is None or until == inf else finite_number(until)
         node = self._node(element, ELEMENTS)
         wanted = status_of(node.kind, status)
-        if end is not None and end <= (now := self._knowledge.now):
+        if end is not None and end <= (now := self._now):
             raise InvalidValue(
                 f"a status is asserted until later than now, {now!r} s by the clock; not {until!r}"
             )
-        self._tell("assert_status", node.ref, str(wanted), reason, end)
+        words = f"{node.name} is asserted {wanted}{Reason(reason, end)}"
+        self._record("assert_status", (node.ref, str(wanted), reason, end), words=words)
 
-    @_telling
-    def retract_status(self, element: Meant) -> None:
+    @_update
+    def retract_status(self, element: ElementLike) -> None:
         """Take back an asserted status; the inferred status holds again."""
-        self._tell("retract_status", self._node(element, ELEMENTS).ref)
+        node = self._node(element, ELEMENTS)
+        self._record("retract_status", (node.ref,), words=f"{node.name} is no longer asserted")
 
-    @_telling
-    def assert_required(self, element: Meant, required: bool | None) -> None:
+    @_update
+    def assert_required(self, element: ElementLike, required: bool | None) -> None:
         """State that an element is required; False or None takes that back, but not an inferred requirement."""
         node = self._node(element, ("action", "function", "component"))
         if required is not None:
             flag("required", required, InvalidValue)
-        self._tell("assert_required", node.ref, required)
+        self._record("assert_required", (node.ref, required))
 
-    @_telling
-    def assert_selected(self, element: Meant, selected: bool | None, reason: str = "") -> None:
+    @_update
+    def assert_selected(
+        self, element: ElementLike, selected: bool | None, reason: str = ""
+    ) -> None:
         """State whether a design or configuration is selected; explanations give the reason."""
         text("the reason why something is selected or not", reason)
         node = self._node(element, ("function design", "configuration"))
         if selected is not None:
             flag("selected", selected, InvalidValue)
-        self._tell("assert_selected", node.ref, selected, reason)
+        self._record("assert_selected", (node.ref, selected, reason))
 
     # ---------------------------------------------------------------- told: actions and plans
 
-    @_telling
+    @_update
     def request_action(
         self,
         action: str,
@@ -433,22 +515,22 @@ class KnowledgeBase:
             cause: number of the event that led to the request; by default the event that ended another action at this
                 instant, else the latest event that made an action feasible or unfeasible.
         """
-        known = self._knowledge
-        node = known.network.actions[action]
-        wanted, now = questions.preferred(known.network, preference), known.now
-        if node.name in known.records.required:
+        node = self._network.actions[action]
+        wanted = questions.preferred(self._network, preference)
+        if node.name in self._records.required:
             return Reply(True, f"{node.name} is required already")
-        if known.state.status[node.index] is Status.UNFEASIBLE:
-            return Reply(False, why(known.state, node, now))
-        cause = known.cause_of_request(now) if cause is None else cause
-        known.apply(now, "request_action", (node.name, wanted), cause)
+        if self._state.status[node] is Status.UNFEASIBLE:
+            return Reply(False, why(self._state, node, self._now))
+        if cause is None:
+            cause = self._cause_of_request()
+        self._record("request_action", (node.name, wanted), cause)
         return Reply(True, f"{node.name} is required")
 
-    @_telling
+    @_update
     def cancel_action(
         self, action: str, result: str = "abandoned", reason: str = "", *, cause: int | None = None
     ) -> None:
-        """Tell that an action is no longer required, and how it ended; nothing happens if it is not required.
+        """Record that an action is no longer required, and how it ended; nothing happens if it is not required.
 
         Args:
             action: name of the action.
@@ -456,16 +538,17 @@ class KnowledgeBase:
             reason: why the action ended in this way, in words; subscribers and the history get it.
             cause: number of the event that led to the end; by default the one that made the action unfeasible, if any.
         """
-        known = self._knowledge
-        node = known.network.actions[action]
+        node = self._network.actions[action]
         check_result(result)
         text("the reason why an action ends", reason)
-        now = known.now
-        if node.name in known.records.required:
-            cause = known.cause_of_end(node, result) if cause is None else cause
-            known.apply(now, "cancel_action", (node.name, result, reason), cause)
+        if node.name not in self._records.required:
+            return
+        is_unfeasible = self._state.status[node] is Status.UNFEASIBLE
+        if cause is None and result != "completed" and is_unfeasible:
+            cause = self._changed_by.get(node)
+        self._record("cancel_action", (node.name, result, reason), cause)
 
-    @_telling
+    @_update
     def select(
         self,
         designs: Mapping[str, str] | None = None,
@@ -493,24 +576,41 @@ class KnowledgeBase:
         """
         if reason != "":
             text("the reason of a choice", reason)
-        known = self._knowledge
-        network = known.network
+        network, state, now = self._network, self._state, self._now
         chosen = _chosen(network.designs, network.functions, designs)
-        given = _chosen(network.configurations, network.components, configurations)
-        now = known.now
-        for node in (*chosen, *given):
-            if known.state.status[node.index] is Status.UNFEASIBLE:
-                raise Unselectable(f"{node} cannot be selected: {why(known.state, node, now)}")
+        configured = _chosen(network.configurations, network.components, configurations)
+        nodes = [*chosen, *configured]
+        for node in nodes:
+            if state.status[node] is Status.UNFEASIBLE:
+                raise Unselectable(f"{node} cannot be selected: {why(state, node, now)}")
+        words = why_selected(state, nodes, now, reason, self._records.end_reasons)
+        selection = decide(state, nodes)
         if dry_run:
-            state = known.state
-            reasons = why_selected(state, [*chosen, *given], now, reason, known.records.ended)
-            selection = decide(state, [*chosen, *given])
-            return selection.plan(state, reasons, now) if selection else None
-        cause = known.cause_of_choice([*chosen, *given]) if cause is None else cause
-        event = known.apply(now, "select", (by_owner(chosen), by_owner(given), reason), cause)
-        return None if event is None else event.plan
+            return selection.plan(state, words, now) if selection else None
+        if cause is None:
+            cause = self._cause_of_choice(nodes)
+        plan = None
+        if selection:
+            number = self._records.plans.last + 1
+            plan = selection.plan(state, words, now, cause, number)
+        effects = tuple(
+            (node.kind, node.name, node not in state.selected) for node in selection.flips
+        )
+        if plan is None and not effects and not self._is_reason_new(nodes, reason):
+            return None
+        arguments = (by_owner(chosen), by_owner(configured), reason)
+        self._record("select", arguments, cause, effects=effects, plan=plan)
+        return plan
 
-    @_telling
+    def _is_reason_new(self, nodes: Iterable[Node], reason: str) -> bool:
+        state = self._state
+        return any(
+            state.reason("selected", node).text != reason
+            or state.reason("unselected", node.used_by[0]).text
+            for node in nodes
+        )
+
+    @_update
     def finish_plan(self, plan: ReconfigurationPlan | int, result: str) -> bool:
         """End a plan as "completed", "failed" or "abandoned"; returns whether it was open.
 
@@ -518,41 +618,42 @@ class KnowledgeBase:
         """
         if result not in RESULTS:
             check_result(result)
-        made = self._knowledge.records.plan_of(plan)
-        if made.end is not None:
+        record = self._records.plan_of(plan)
+        if record.end is not None:
             return False
-        self._knowledge.apply(self._knowledge.now, "finish_plan", (made.number, result), made.cause)
+        self._record("finish_plan", (record.number, result), record.cause)
         return True
 
-    @_telling
+    @_update
     def note_no_choice(self, reason: str) -> None:
         """Give explanations the reason why nothing can be selected for what is required; empty if something can."""
         text("the reason why nothing can be selected", reason)
-        self._tell("note_no_choice", reason)
+        self._record("note_no_choice", (reason,))
 
     # ---------------------------------------------------------------- told: records
 
-    @_telling
+    @_update
     def component_configured(self, component: str, parameters: Parameters) -> None:
-        """Tell which parameters were set on a component; see `parameters_in_force` of its view."""
+        """Record which parameters were set on a component; see `parameters_in_force` of its view."""
         name = self._component(component).name
-        self._tell("component_configured", name, checked_parameters(name, parameters))
+        self._record("component_configured", (name, checked_parameters(name, parameters)))
 
-    @_telling
+    @_update
     def component_started(self, component: str, pid: int) -> Process:
-        """Tell that a process of the operating system was started for a component; it need not be active yet."""
-        self._tell(
-            "component_started", self._component(component).name, whole("a process number", pid, 0)
-        )
-        return next(reversed(self._knowledge.records.processes.values()))
+        """Record that a process of the operating system was started for a component; it need not be active yet."""
+        name = self._component(component).name
+        self._record("component_started", (name, whole("a process number", pid, 0)))
+        return next(self._records.processes.newest_first())
 
-    @_telling
+    @_update
     def component_ended(self, component: str, pid: int | None = None) -> None:
-        """Tell that a process of a component has ended: the one with this number, or all of them without one."""
+        """Record that a process of a component has ended: the one with this number, or all of them without one."""
         number = None if pid is None else whole("a process number", pid, 0)
-        self._tell("component_ended", self._component(component).name, number)
+        name = self._component(component).name
+        if self._records.running(name, number):
+            self._record("component_ended", (name, number))
 
-    @_telling
+    @_update
     def record_attempt(
         self,
         plan: ReconfigurationPlan | int,
@@ -576,18 +677,16 @@ class KnowledgeBase:
             raise InvalidValue(
                 f"{operation!r} is no operation; an operation is one of {', '.join(_OPERATIONS)}"
             )
-        known = self._knowledge
-        name, of = self._component(component).name, None
+        name = self._component(component).name
         if configuration is not None:
-            of = known.network.configurations[configuration].name
-        given = checked_parameters(name, parameters or {})
+            configuration = self._network.configurations[configuration].name
+        values = checked_parameters(name, parameters or {})
         whole("the number of an attempt", number)
-        self._tell(
-            "record_attempt", known.records.plan_of(plan).number, name, operation, of, given, number
-        )
-        return next(reversed(known.records.attempts.values()))
+        of = self._records.plan_of(plan).number
+        self._record("record_attempt", (of, name, operation, configuration, values, number))
+        return next(self._records.attempts.newest_first())
 
-    @_telling
+    @_update
     def finish_attempt(self, attempt: Attempt | int, result: str, reason: str = "") -> bool:
         """Record the result of a command; returns False if the attempt has ended already or is unknown.
 
@@ -603,68 +702,79 @@ class KnowledgeBase:
             raise InvalidValue(
                 f"{attempt!r} is no attempt; give one of kb.history.attempts, or its serial number"
             )
-        record = self._knowledge.records.attempts.get(serial)
+        record = self._records.attempts.get(serial)
         if record is None or record.end is not None:
             return False
-        self._tell("finish_attempt", serial, result, reason)
+        self._record("finish_attempt", (serial, result, reason))
         return True
 
-    @_telling
+    @_update
     def record_answer(
         self, plan: ReconfigurationPlan | int, is_vetoed: bool, reason: str = ""
     ) -> VetoAnswer:
         """Record whether a plan was vetoed before its execution, and why."""
         flag("is_vetoed", is_vetoed, InvalidValue)
         text("the reason of an answer", reason)
-        self._tell("record_answer", self._knowledge.records.plan_of(plan).number, is_vetoed, reason)
-        return next(reversed(self._knowledge.records.answers.values()))
+        number = self._records.plan_of(plan).number
+        self._record("record_answer", (number, is_vetoed, reason))
+        return next(self._records.answers.newest_first())
 
     # ---------------------------------------------------------------- the log
 
-    def tell(self, event: Event) -> None:
-        """Repeat an event, e.g. of another base; the clock of this base should show the time of the event.
+    def replay(self, event: Event) -> None:
+        """Record an event again, e.g. of another base; the clock should show its time.
 
-        Events that time, the model or the store cause are made by this base itself, not repeated. Of these,
-        only "stale" is repeated: an attribute may be stale before its time because its source is gone.
+        Events that the model or the store causes are recorded by this base itself, and so are those
+        that time causes, unless the base is not timed. But "stale" is always replayed: an attribute
+        may be stale early because its source is gone.
 
         Raises:
-            InvalidValue: the event cannot be told; nothing has changed.
+            InvalidValue: the event cannot be replayed; nothing has changed.
         """
         verb = event.verb if isinstance(event, Event) else None
-        if verb in _BY_ITSELF:
-            self._catch_up()
+        if verb in INTERNAL or (self._is_timed and verb in ("dwell", "lapse")):
+            self._catch_up_with_time()
             return
-        if verb not in _TOLD:
-            known = ", ".join(sorted(_TOLD))
+        if verb not in _REPLAYABLE:
+            verbs = ", ".join(sorted(_REPLAYABLE))
             raise InvalidValue(
-                f"{event!r} cannot be told; an event that can has one of the verbs {known}"
+                f"{event!r} cannot be replayed; an event that can has one of the verbs {verbs}"
             )
-        tell = getattr(self, _TOLD[verb])
-        caused = (
-            {"cause": event.cause} if verb in ("request_action", "cancel_action", "select") else {}
-        )
+        method = getattr(self, _REPLAYABLE[verb])
+        keywords = {}
+        if verb in ("request_action", "cancel_action", "select"):
+            keywords = {"cause": event.cause}
         try:
-            tell(*event.arguments, **caused)
+            method(*event.arguments, **keywords)
         except (AttributeError, LookupError, TypeError) as error:
             if isinstance(error, KnowledgeBaseError):
                 raise
-            raise InvalidValue(f"{verb} cannot be told with {event.arguments!r}: {error}") from None
+            raise InvalidValue(
+                f"{verb} cannot be replayed with {event.arguments!r}: {error}"
+            ) from None
 
     def _amend(self, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
-        amend(self.model, self._knowledge.serials, how, written)
+        amend(self.model, self._serials, how, written)
 
-    @_telling
+    @_update
     def _progress(self, action: str, behaviour: str, saved: str) -> None:
-        if self._knowledge.records.progress.get((action, behaviour), "") != text(
-            "what is saved", saved
-        ):
-            self._tell("progress", action, behaviour, saved)
+        before = self._records.progress.get((action, behaviour), "")
+        if before != text("what is saved", saved):
+            self._record("progress", (action, behaviour, saved))
 
-    @_telling
+    @_update
     def _stale(self, name: str) -> None:
-        node, state = self._knowledge.network.attributes[name], self._knowledge.state
-        if state.value[node.index] is not None and not state.stale[node.index]:
-            self._tell("stale", name)
+        node = self._network.attributes[name]
+        if node in self._state.value and node not in self._state.stale:
+            self._record_stale(node, self._now)
+
+    @_update
+    def _dwell(self, ref: Ref) -> None:
+        self._record_dwell(self._network.referred(ref), self._now)
+
+    @_update
+    def _lapse(self, ref: Ref, status: str) -> None:
+        self._record_lapse(self._network.referred(ref), self._now)
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
         """Call a function with every event from now on, in order; returns a function that ends the subscription.
@@ -673,7 +783,7 @@ class KnowledgeBase:
         is logged and goes no further.
         """
         stop = self._publisher.subscribe(callback)
-        self._knowledge.in_words = True
+        self._words_wanted = True
         return stop
 
     @property
@@ -692,22 +802,391 @@ class KnowledgeBase:
         if self.store is not None:
             self.store.close()
 
+    def __reduce__(self) -> Any:  # noqa: ANN401  # never returns
+        raise KnowledgeBaseError(
+            "a knowledge base holds a lock, a clock and subscribers, so it cannot be copied or "
+            "pickled; take kb.situation(), which is a copy of the facts, or give it a store"
+        )
+
+    # ---------------------------------------------------------------- recording events
+
+    def _record(
+        self,
+        verb: str,
+        arguments: tuple[Any, ...],
+        cause: int | None = None,
+        *,
+        effects: tuple[tuple[str, str, bool], ...] = (),
+        plan: ReconfigurationPlan | None = None,
+        words: str = "",
+        time: float | None = None,
+    ) -> Event:
+        """Record an event, which has been decided, and apply it."""
+        self._complete_event()
+        at = self._now if time is None else time
+        event = Event(self.log.last + 1, at, verb, arguments, (), cause, effects, plan, words)
+        self._event = event  # from here on it is in
+        self._complete_event()
+        return event
+
+    def _complete_event(self) -> None:
+        """Apply the event that is recorded and not applied completely, if there is one."""
+        event = self._event
+        if event is None:
+            return
+        state = self._state
+        if event.verb == "amend":
+            self._renew()
+        else:
+            state.apply(event)
+        if event.verb != "measure":
+            self._records.apply(event)
+        if event.verb == "finish_attempt":
+            self._note_configured(*event.arguments)
+        self._set_alarms(event)
+        changes = state.changes()
+        if changes:
+            event = event._replace(changes=changes)
+            self._note_changes(event)
+        if _matters(event):
+            self._revision = event.number
+        is_new = self.log.last < event.number
+        self.log.append(event)
+        state.forget_changes()
+        self._event = None
+        for witness in self.log.witnesses if is_new else ():
+            witness(event)
+
+    def _note_configured(self, serial: int, result: str, reason: str) -> None:
+        attempt = self._records.attempts.get(serial)
+        if attempt is not None and attempt.operation == "configure" and result == "completed":
+            self._state.parameters[attempt.component] = attempt.parameters
+
+    def _note_changes(self, event: Event) -> None:
+        """Note the event as the cause of the statuses that it has changed."""
+        is_switched = event.verb == "component_active" and not event.arguments[2]
+        if not (is_switched and self._records.open_plans):  # a plan has switched it
+            for node in self._state.changed_nodes():
+                self._changed_by[node] = event.number
+        for change in event.changes:
+            if change.kind == "action" and Status.UNFEASIBLE in (change.old, change.new):
+                self._feasibility = event.number
+
+    # ---------------------------------------------------------------- time
+
+    def _read_clock(self) -> float:
+        """Return the time by the clock, or that of the last event if that is later [s].
+
+        The clock is foreign code, which may wait for another thread: read it without the lock.
+        """
+        if self.model.pending is not None:
+            self.model.settle()
+        last = self.log.time  # before the clock: another thread may record something meanwhile
+        now = self._clock()
+        if type(now) is float and last <= now < inf:
+            return now
+        try:
+            shown = finite_number(now)
+        except InvalidValue as error:
+            raise InvalidValue(
+                f"the clock gives {now!r} for the time in seconds: {error}; nothing was recorded"
+            ) from None
+        if shown < last - _CLOCK_SLACK_S:
+            raise InvalidValue(
+                f"the clock went back, from {last!r} s to {shown!r} s, and facts keep their order: "
+                "give the knowledge base a clock that is not set back, e.g. time.monotonic; "
+                "nothing was recorded"
+            )
+        return max(shown, last)
+
+    def _prepare(self, now: float) -> None:
+        """Complete what was interrupted, and record what time has caused until now [s]."""
+        if self._updating.locked():
+            raise KnowledgeBaseError(_REENTRANT)
+        self._now = max(now, self.log.time)
+        if self._event is not None or self._now >= self._alarms.next:
+            with self._updating:
+                self._complete_event()
+                self._now = max(now, self.log.time)
+                self._record_due(self._now)
+
+    def _record_due(self, now: float) -> None:
+        """Record what time causes until now, each at the instant at which it is due."""
+        while (due := self._alarms.due(now)) is not None:
+            time, what, node = due
+            time = max(time, self.log.time)  # a changed model may make it due in the past
+            if what == "stale":
+                self._record_stale(node, time)
+            elif what == "dwell":
+                self._record_dwell(node, time)
+            else:
+                self._record_lapse(node, time)
+
+    def _record_stale(self, node: Node, time: float) -> None:
+        words = f"{node.name} {staleness(self._state.time.get(node), node, time)}"
+        self._record("stale", (node.name,), words=words, time=time)
+
+    def _record_dwell(self, node: Node, time: float) -> None:
+        state = self._state
+        before = state.verdict(node)
+        supposed = state.copy()
+        supposed.judge(node, time)
+        after = supposed.verdict(node)
+        if after is before:
+            self._alarms.set("dwell", node, state.judge(node, time))
+            return
+        words = f"{node.name} is {after}, after its dwell"
+        self._record("dwell", (node.ref,), words=words, time=time)
+
+    def _record_lapse(self, node: Node, time: float) -> None:
+        status = self._state.asserted.get(node)
+        words = f"{node.name} is no longer asserted {status}: its time is over"
+        self._record("lapse", (node.ref, str(status)), words=words, time=time)
+
+    def _set_alarms(self, event: Event) -> None:
+        """Set the alarms of what time will cause after an event; it can be repeated."""
+        verb = event.verb
+        if verb in ("measure", "stale"):
+            self._set_alarms_of_attribute(self._network.attributes[event.arguments[0]], event.time)
+        elif verb == "dwell":
+            node = self._network.referred(event.arguments[0])
+            self._alarms.set("dwell", node, self._state.judge(node, event.time))
+        elif verb in ("assert_status", "retract_status", "lapse"):
+            self._set_lapse(self._network.referred(event.arguments[0]))
+        elif verb == "component_recovered":
+            self._set_lapse(self._network.components[event.arguments[0]])
+
+    def _set_alarms_of_attribute(self, node: Node, now: float) -> None:
+        state = self._state
+        if node.element.max_age != inf:
+            measured = state.time.get(node)
+            is_timed = measured is not None and node not in state.stale
+            due = nextafter(measured + node.element.max_age, inf) if is_timed else NEVER
+            self._alarms.set("stale", node, due)
+        for constraint in self._network.thresholds(node).debounced:
+            self._alarms.set("dwell", constraint, state.judge(constraint, now))
+
+    def _set_lapse(self, node: Node) -> None:
+        until = self._state.reason("asserted", node).until
+        self._alarms.set("lapse", node, NEVER if until is None else until)
+
+    def _catch_up_with_time(self) -> None:
+        """Record what time has caused until now, unless this thread is just recording a fact."""
+        now = self._read_clock()
+        with self._lock:
+            if self._event is not None or not self._updating.locked():
+                self._prepare(now)
+        self._publish()
+
+    def _complete(self) -> None:
+        """Complete a change of the model, or an event, that was interrupted."""
+        if self.model.pending is not None:
+            self.model.settle()
+        with self._lock:
+            self._settled()
+
+    def _settled(self) -> State:
+        """Return the state, after an interrupted event is completed."""
+        if self._event is not None:
+            if self._updating.locked():
+                raise KnowledgeBaseError(_REENTRANT)
+            with self._updating:
+                self._complete_event()
+        return self._state
+
+    def _publish(self, last: int = 0) -> None:
+        """Call the subscribers, and wait if the store is too far behind."""
+        if self._publisher.is_heard:
+            self._publisher.deliver(last)
+        if self.store is not None and last and not self._publisher.is_held():
+            self.store.wait_for_room(last)
+
+    # ---------------------------------------------------------------- the model
+
+    def _begin(self, stated: Sequence[facts.Fact], now: float) -> None:
+        """Begin with what the model states."""
+        measured = [fact for fact in stated if isinstance(fact, facts.MeasurementFact)]
+        measured.sort(key=lambda fact: (fact.latest, now if fact.time is None else fact.time))
+        for number, measurement in enumerate(measured, start=-len(measured)):
+            time = now if measurement.time is None else measurement.time
+            self._begin_with_measurement(measurement, time, number)
+        for number, fact in enumerate(stated, start=1):
+            self._begin_with(fact, number, now)
+        self._state.infer()
+        self._state.forget_changes()
+        self.log.append(Event(1, now, "begin", ()))
+        self._revision = 1
+
+    def _begin_with_measurement(
+        self, fact: facts.MeasurementFact, time: float, number: int
+    ) -> None:
+        node = self._network.attributes[fact.attribute]
+        if fact.latest:
+            self._state.set_measurement(node, fact.value, time, number)
+            self._set_alarms_of_attribute(node, time)
+        else:
+            self._state.remember(node, fact.value, time, number)
+
+    def _begin_with(self, fact: facts.Fact, number: int, now: float) -> None:
+        if isinstance(fact, facts.MeasurementFact):
+            return
+        event = Event(0, now, "", ())
+        arguments: tuple[Any, ...]
+        if isinstance(fact, facts.StatusFact):
+            arguments = (self._network.find(fact.element).ref, str(fact.status), "", None)
+            event = Event(0, now, "assert_status", arguments)
+        elif isinstance(fact, facts.RequiredFact):
+            arguments = (self._network.find(fact.element).ref, True)
+            event = Event(0, now, "assert_required", arguments)
+        elif isinstance(fact, facts.SelectedFact):
+            arguments = (self._network.find(fact.element).ref, True, "")
+            event = Event(0, now, "assert_selected", arguments)
+        elif isinstance(fact, facts.ActiveFact):
+            event = Event(0, now, "component_active", (fact.component, True, ""))
+        else:
+            self._records.begin(fact, -number, now)
+            if isinstance(fact, facts.RequiredActionFact) and fact.action in self._records.required:
+                event = Event(0, now, "request_action", (fact.action, None))
+        self._state.apply(event)
+
+    def _record_amendment(self, change: facts.Amended) -> None:
+        """Record a change of the model, unless it is recorded already."""
+        with self._lock:
+            if self._updating.locked():
+                raise KnowledgeBaseError(_REENTRANT)
+            with self._updating:
+                self._complete_event()
+                if self._amendment is None or change is not self._amendment[0]:
+                    change.put()  # no fact is recorded meanwhile: each is of one model
+                    self._follow(change)
+
+    def _follow(self, change: facts.Amended) -> None:
+        is_removal = change.how == "removed"
+        for element in change.elements if is_removal else ():
+            if isinstance(element, Action) and element.name in self._records.required:
+                reason = "it is no longer in the model"
+                self._record("cancel_action", (element.name, "abandoned", reason))
+        removed = []
+        if is_removal:
+            removed = [node for node in self._network.present() if node.element in change.elements]
+        self._amendment = change, removed
+        named = [one for one in change.elements if not isinstance(one, Estimation)]
+        names = [
+            one.name if isinstance(one, Element) else str(one) for one in named or change.elements
+        ]
+        written = tuple(amendment(change.how, change.elements, self._serials))
+        words = f"{', '.join(names)} {change.how} in the model"
+        self._record("amend", written, words=words)
+
+    def _renew(self) -> None:
+        """Follow the model as it is now; it can be repeated."""
+        assert self._amendment is not None  # an amendment is noted before it is recorded
+        change, removed = self._amendment
+        self._network.renew()
+        for node in removed:
+            for what in ("stale", "dwell", "lapse"):
+                self._alarms.set(what, node, NEVER)
+        changed = []
+        if change.how != "removed":
+            changed = [
+                self._network.find(element)
+                for element in change.elements
+                if isinstance(element, Attribute | Constraint)
+            ]
+        self._state.renew(removed, changed, self._now)
+        for node in changed:
+            attribute = node if node.kind == "attribute" else node.requires[0]
+            self._set_alarms_of_attribute(attribute, self._now)
+
+    # ---------------------------------------------------------------- causes
+
+    def _cause_of_choice(self, chosen: Sequence[Node]) -> int | None:
+        """Return the last event that changed these, their owners or alternatives."""
+        if not chosen:
+            ended = self._records.last_end
+            return None if ended is None else ended[1]
+        owners = [owner for node in chosen for owner in node.used_by]
+        about = [one for owner in owners for one in (owner, *owner.requires)]
+        numbers = [self._changed_by[node] for node in about if node in self._changed_by]
+        return max(numbers, default=None)
+
+    def _cause_of_request(self) -> int | None:
+        """Return the event that just ended another request, else the last about a feasibility."""
+        ended = self._records.last_end
+        if ended is not None and ended[0] == self._now:
+            return ended[1]
+        return self._feasibility
+
+    # ---------------------------------------------------------------- snapshots
+
+    def snapshot(self, keep: int) -> dict[str, Any]:
+        """Return all that is known as values that JSON can hold; for the store."""
+        present = set(self._network.present())
+        return {
+            "state": self._state.to_json(keep),
+            "records": self._records.to_json(),
+            "changed_by": [
+                [node.ref, number] for node, number in self._changed_by.items() if node in present
+            ],
+            "feasibility": self._feasibility,
+            "revision": self._revision,
+        }
+
+    def restore_log(
+        self,
+        snapshot: Mapping[str, Any] | None,
+        events: Iterable[Event],
+        last: int,
+        serials: Serials,
+    ) -> None:
+        """Begin with what a store holds: a snapshot, and the events after it; for the store."""
+        self._serials = serials
+        if snapshot is not None:
+            self._state.from_json(snapshot["state"])
+            self._records.from_json(snapshot["records"])
+            for ref, number in snapshot["changed_by"]:
+                self._changed_by[self._network.referred(tuple(ref))] = number
+            self._feasibility = snapshot["feasibility"]
+            self._revision = snapshot["revision"]
+            self._state.forget_changes()
+        for event in events:
+            self.log.resume(event.number - 1)
+            if event.verb == "begin":
+                self._begin(self.model.facts, event.time)
+                continue
+            self._event = event
+            self._complete_event()
+        self.log.resume(last)
+        for node in self._network.attributes.values():
+            self._set_alarms_of_attribute(node, self._state.time.get(node, self._now))
+        for node in self._network.present():
+            if node.kind != "attribute":
+                self._set_lapse(node)
+
+    def abandon_what_was_under_way(self, now: float) -> tuple[str, ...]:
+        """End open plans and attempts of an earlier program; return the actions that it left."""
+        self._now = now
+        for number in list(self._records.open_plans):
+            self._record("finish_plan", (number, "abandoned"))
+        for attempt in self._records.attempts.all():
+            if attempt.end is None:
+                arguments = (attempt.serial, "abandoned", "its result is not known")
+                self._record("finish_attempt", arguments)
+        self.log.time = -inf  # the clock may have started again at 0
+        return tuple(self._records.required)
+
+    def record_store_message(self, words: str) -> None:
+        """Record how the store is; for the store."""
+        with self._lock, self._updating:
+            self._record("store", (words,))
+        self._publish()
+
     # ---------------------------------------------------------------- helpers
 
-    def _records(self) -> Records:
-        with self.reading():
-            return self._knowledge.records
-
-    def _tell(self, verb: str, *arguments: Any) -> None:  # noqa: ANN401  # of the verb
-        self._knowledge.apply(self._knowledge.now, verb, arguments)
-
-    def _catch_up(self) -> None:
-        self._knowledge.catch_up()
-        if self._publisher.is_heard:
-            self._publisher.deliver()
-
-    def _check_open(self, store: Store) -> None:
-        store.check_owner()
+    def _check_open(self) -> None:
+        if self.store is None:
+            return
+        self.store.check_owner()
         if self._is_closed:
             raise KnowledgeBaseError(
                 "this knowledge base is closed: its store is given back, so nothing more can be told. Tell before you "
@@ -715,10 +1194,10 @@ class KnowledgeBase:
             )
 
     def _component(self, name: str) -> Node:
-        return self._knowledge.network.components[name]
+        return self._network.components[name]
 
-    def _node(self, element: Meant, kinds: Iterable[str]) -> Node:
-        return meant(self, self._knowledge.state, element, kinds, unique=True)
+    def _node(self, element: ElementLike, kinds: Iterable[str]) -> Node:
+        return resolve(self, self._state, element, kinds, unique=True)
 
 
 def _chosen(
@@ -731,8 +1210,20 @@ def _chosen(
         )
     chosen = [(parts[name], wholes[whole]) for whole, name in (given or {}).items()]
     for node, owner in chosen:
-        if node.wholes[0] is not owner:
+        if node.used_by[0] is not owner:
             raise InvalidValue(
-                f"{node.kind} {node.name!r} is of {node.wholes[0].name!r}, not of {owner.name!r}"
+                f"{node.kind} {node.name!r} is of {node.used_by[0].name!r}, not of {owner.name!r}"
             )
     return [node for node, _ in chosen]
+
+
+def _matters(event: Event) -> bool:
+    """Return whether a planner may choose otherwise after an event."""
+    verb = event.verb
+    if verb in ("measure", "stale", "dwell"):
+        return bool(event.changes)
+    if verb == "select":
+        return event.plan is None and bool(event.effects)
+    if verb == "finish_plan":
+        return bool(event.arguments[1] != "failed")
+    return verb not in RECORDS and verb != "note_no_choice"

@@ -1,4 +1,4 @@
-"""The managed system: what the manager commands, how its answers are read, and a look at what runs."""
+"""The managed system: what the manager commands, and how its answers are read."""
 
 from contextlib import suppress
 from inspect import (
@@ -30,13 +30,13 @@ class Operation(Protocol):
 class ManagedSystem(Protocol):
     """The robot's components, which can be commanded to start, to stop and to take parameters.
 
-    Each call returns at once: None if the command is done, an operation if it takes time. A command that cannot be
-    done raises, or its operation has an exception.
+    Each call returns at once: None if the command is done, an operation if it takes time. A
+    command that cannot be done raises, or its operation has an exception.
 
-    A system that knows whether a component runs has a method `is_active(component)` too, which returns at once True,
-    False, or None if it does not know. A switch then counts as done only when that agrees, and a component that stops
-    by itself is noticed. An operation may have a method `cancel()`, which is called when it takes too long or is no
-    longer needed.
+    A system that knows whether a component runs has a method `is_active(component)` too, which
+    returns at once True, False, or None if it does not know. A switch then counts as done only
+    when that agrees, and a component that stops by itself is noticed. An operation may have a
+    method `cancel()`, which is called when it takes too long or is no longer needed.
     """
 
     def activate(self, component: str, /) -> Operation | None:
@@ -81,7 +81,7 @@ def operation_of(answer: object, call: str, managed: ManagedSystem) -> Operation
 
 
 def wrong_answer(call: str, given: object, answer: object, expected: str) -> ProtocolError:
-    """Return the error for a value that a protocol does not allow; a coroutine is closed, as nobody awaits it."""
+    """Return the error for a value that a protocol does not allow."""
     if iscoroutine(answer):
         answer.close()
     return ProtocolError(
@@ -90,13 +90,14 @@ def wrong_answer(call: str, given: object, answer: object, expected: str) -> Pro
 
 
 def check_methods(role: str, given: object, protocol: type, optional: tuple[str, ...] = ()) -> None:
-    """Raise `ProtocolError` unless an object has the methods of a protocol, with the same arguments.
+    """Raise `ProtocolError` unless an object has the methods of a protocol.
 
     Args:
         role: of the object, in words, such as "a planner".
         given: the object.
         protocol: the class whose public methods the object must have.
-        optional: calls of further methods that are checked if the object has them, such as "choose(kb)".
+        optional: calls of further methods that are checked if the object has them, such as
+            "choose(kb)".
     """
     owner = type(given).__name__
     if isinstance(given, type):
@@ -129,11 +130,12 @@ def check_methods(role: str, given: object, protocol: type, optional: tuple[str,
 
 
 class ActivityMonitor:
-    """A monitor that asks the managed system whether components run as the knowledge base has it, between plans.
+    """A monitor that asks the managed system which components run, between plans.
 
-    A component that was started by the last command to it, and does not run, has failed. In any other case only
-    `component_active` is corrected, since the component may have stopped while this program was not running.
-    Failed components are asked about too, because a start may succeed after its time-out.
+    A component that was started by the last command to it, and does not run, has failed. In any
+    other case only `component_active` is corrected, since the component may have stopped while
+    this program was not running. Failed components are asked about too, because a start may
+    succeed after its time-out.
     """
 
     def __init__(self, managed: ManagedSystem) -> None:
@@ -186,9 +188,9 @@ def _expected_activity(kb: KnowledgeBase) -> dict[str, bool]:
         for name, node in state.network.components.items():
             if node.element.kind is ComponentKind.PLAIN:
                 continue
-            if state.active[node.index]:
+            if node in state.active:
                 active[name] = True
-            elif state.failed[node.index]:
+            elif node in state.failed:
                 failed[name] = False
     return {**active, **failed}
 

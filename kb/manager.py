@@ -1,7 +1,7 @@
-"""The adaptation loop: monitor, analyse, plan, execute; its stages share data only through the knowledge base.
+"""The adaptation loop: monitor, analyse, plan, execute, by the knowledge base.
 
-The knowledge base does the analysis by itself, by inference. The other stages are small protocols: a manager that is
-given another monitor, planner or executor works with it in the same way.
+The knowledge base does the analysis by itself, by inference. The other stages are small protocols:
+a manager that is given another monitor, planner or executor works with it in the same way.
 """
 
 import logging
@@ -29,28 +29,29 @@ class Monitor(Protocol):
 class Planner(Protocol):
     """Decides which designs and configurations to select.
 
-    For dry runs a planner may have a method `choose(kb)`: it returns the `Choice` that `plan` would select, or None,
-    and changes neither the knowledge base nor the planner. A planner whose choice depends on the time has an attribute
-    `is_waiting`: while it is true, `plan` is called at every update.
+    For dry runs a planner may have a method `choose(kb)`: it returns the `Choice` that `plan`
+    would select, or None, and changes neither the knowledge base nor the planner. A planner whose
+    choice depends on the time has an attribute `is_waiting`: while it is true, `plan` is called at
+    every update.
     """
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
-        """Choose for what is adaptable, and return the result of `kb.select`, or None for no choice; does not wait."""
+        """Choose, and return the result of `kb.select`, or None; does not wait."""
 
 
 class Executor(Protocol):
     """Carries out the pending plan."""
 
     def execute(self, kb: KnowledgeBase) -> None:
-        """Do what is possible of `kb.pending_plan` without waiting; end the plan with `kb.finish_plan`."""
+        """Do what can be done of `kb.pending_plan` without waiting; `kb.finish_plan` ends it."""
 
 
 Veto = Callable[[ReconfigurationPlan], bool | str | None]
-"""Called with a plan, which has its reason; returns None or True to allow it, False or a reason to forbid it."""
+"""Called with a plan; returns None or True to allow it, False or a reason to forbid it."""
 
 
 class VetoGate:
-    """Asks the veto about each plan before it is executed, and undoes the selection of a forbidden plan."""
+    """Asks the veto about each plan, and undoes the selection of a forbidden one."""
 
     def __init__(self, kb: KnowledgeBase, veto: Veto) -> None:
         if not callable(veto):
@@ -61,7 +62,7 @@ class VetoGate:
         self._veto = veto
 
     def check(self) -> bool:
-        """Ask about the plans not yet asked about; abandon the forbidden ones, and return whether there was one."""
+        """Ask about new plans, abandon the forbidden ones; return whether there was one."""
         kb = self._kb
         is_vetoed = False
         while True:
@@ -92,7 +93,7 @@ class VetoGate:
         return f"the veto function answered {answer!r}; it is to answer {allowed}"
 
     def _take_back(self, plan: ReconfigurationPlan, reason: str) -> None:
-        """Undo exactly the selection that the event of the plan made, because it is not carried out."""
+        """Undo exactly the selection that the event of the plan made."""
         for event in self._kb.log.since(plan.cause or 0):
             if event.plan is not plan:
                 continue
@@ -107,16 +108,20 @@ class ConfigurationManager:
 
     Args:
         kb: the knowledge base that all stages talk through.
-        managed: the system whose components are switched and configured; if it has `is_active`, the manager monitors
-            with it which components run; if it has `observe`, it is a monitor too.
+        managed: the system whose components are switched and configured; if it has `is_active`,
+            the manager monitors with it which components run; if it has `observe`, it is a monitor
+            too.
         planner: decides what to select; a `PriorityPlanner` by default.
-        executor: carries out plans; by default a `StagedExecutor` on `managed`, within the planner's budgets if any.
+        executor: carries out plans; by default a `StagedExecutor` on `managed`, within the
+            planner's budgets if any.
         monitors: called first at each update.
-        veto: called with each plan, whoever made it, before it is executed. It returns None or True to allow the plan,
-            False or a reason in words to forbid it; an exception forbids it too.
+        veto: called with each plan, whoever made it, before it is executed. It returns None or
+            True to allow the plan, False or a reason in words to forbid it; an exception forbids
+            it too.
 
     Raises:
-        ProtocolError: one of them lacks a method, or has a method with other arguments than the protocol's.
+        ProtocolError: one of them lacks a method, or has a method with other arguments than the
+            protocol's.
     """
 
     def __init__(
@@ -150,7 +155,7 @@ class ConfigurationManager:
         self._planned_at = -1
 
     def dry_run(self) -> ReconfigurationPlan | None:
-        """Return the plan that the planner would make now, or None; nothing is selected, told or executed.
+        """Return the plan that the planner would make now, or None; nothing changes.
 
         Raises:
             InvalidValue: the planner has no method `choose`.
@@ -167,16 +172,18 @@ class ConfigurationManager:
     def update(self) -> ReconfigurationPlan | None:
         """Take one turn of the loop, without waiting.
 
-        A new plan is made only after a change, and only when the last plan has ended, because a plan starts from the
-        state of the components, which is certain only then. After a failed or vetoed plan, the next change leads to a
-        new one.
+        A new plan is made only after a change, and only when the last plan has ended, because a
+        plan starts from the state of the components, which is certain only then. After a failed or
+        vetoed plan, the next change leads to a new one.
 
         Returns:
             The plan that was made in this turn, or None; a vetoed plan has already ended.
 
         Raises:
-            ProtocolError: the planner or the managed system returned a value that its protocol does not allow.
-            InvalidValue, UnknownName: the planner selects what is unfeasible or unknown; nothing is selected.
+            ProtocolError: the planner or the managed system returned a value that its protocol
+                does not allow.
+            InvalidValue, UnknownName: the planner selects what is unfeasible or unknown; nothing
+            is selected.
         """
         kb, gate = self._kb, self._gate
         for monitor in self._monitors:
@@ -195,7 +202,7 @@ class ConfigurationManager:
         return plan
 
     def _planned(self, revision: int) -> ReconfigurationPlan | None:
-        """Call the planner; if a change meanwhile made its choice impossible, there is no plan, and no error."""
+        """Call the planner; a choice that a change made impossible meanwhile is no plan."""
         try:
             plan = self._planner.plan(self._kb)
         except (Unselectable, UnknownName):

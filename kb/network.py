@@ -3,7 +3,6 @@
 import math
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping
-from functools import cache
 from typing import Any, Final
 
 from kb.elements import (
@@ -41,27 +40,28 @@ LEVELS: Final = {kind: level for level, kind in enumerate(_UPWARDS)}
 class Node:
     """An element in the network.
 
-    Its status is inferred from its parts: a component's configurations, a design's components, a function's designs,
-    an action's functions, a constraint's attribute. Its wholes are the elements that it is a part of.
+    Its status is inferred from what it requires: a component's configurations, a design's
+    components, a function's designs, an action's functions, a constraint's attribute. It is used
+    by the nodes that require it; a constraint by the elements that it is on.
     """
 
-    __slots__ = ("constraints", "element", "index", "kind", "level", "name", "parts", "wholes")
+    __slots__ = ("constraints", "element", "index", "kind", "level", "name", "requires", "used_by")
 
     element: Any  # the element of the model; `kind` says of which class
     name: str
     constraints: list["Node"]  # those on this element; for an attribute those that compare it
-    parts: list["Node"]
-    wholes: list["Node"]
+    requires: list["Node"]
+    used_by: list["Node"]
 
     def __init__(self, index: int, kind: str, element: Element | Constraint) -> None:
-        self.index = index  # its position in every array of a state
+        self.index = index  # the order of declaration
         self.kind, self.level = kind, LEVELS[kind]
         self.element = element
 
     @property
     def attribute(self) -> Attribute:
         """The attribute of this node, or the one that this constraint compares."""
-        found: Attribute = self.parts[0].element if self.kind == "constraint" else self.element
+        found: Attribute = self.requires[0].element if self.kind == "constraint" else self.element
         return found
 
     @property
@@ -73,7 +73,7 @@ class Node:
     def ref(self) -> Ref:
         if self.kind != "constraint":
             return self.kind, self.name
-        owner = self.wholes[0]
+        owner = self.used_by[0]
         return owner.kind, owner.name, owner.constraints.index(self)
 
     def __repr__(self) -> str:
@@ -91,10 +91,10 @@ class Thresholds:
     """
 
     def __init__(self, attribute: Node) -> None:
-        # kept apart: the status of these depends on earlier measurements too
-        self.steady = [node for node in attribute.constraints if is_steady(node)]
+        # their status depends on earlier measurements too
+        self.debounced = [node for node in attribute.constraints if is_debounced(node)]
         self._nodes = sorted(
-            (node for node in attribute.constraints if not is_steady(node)), key=_turn
+            (node for node in attribute.constraints if not is_debounced(node)), key=_turn
         )
         self._turns = [_turn(node) for node in self._nodes]
 
@@ -108,8 +108,8 @@ class Thresholds:
         return [node.constraint.value for node in self._nodes[max(0, place - 1) : place + 1]]
 
 
-def is_steady(node: Node) -> bool:
-    """Tell whether the status of a constraint depends on earlier measurements too; see `kb.measurements`."""
+def is_debounced(node: Node) -> bool:
+    """Tell whether the status of a constraint depends on earlier measurements too; see `kb.debounce`."""
     return (
         node.constraint.hysteresis > 0
         or node.constraint.dwell > 0
@@ -129,7 +129,7 @@ class Network:
         self.model = model
         self.revision = 0  # grows at each `renew`
         self.nodes: list[Node] = []
-        self.thresholds = cache(Thresholds)  # of an attribute
+        self._thresholds: dict[Node, Thresholds] = {}
         self._tables: dict[type, ByName[Node]] = {
             cls: ByName(kind) for cls, kind in KINDS.items() if kind in LEVELS
         }
@@ -145,6 +145,13 @@ class Network:
         }
         self.kinds: Mapping[str, Mapping[str, Node]] = ByName("kind of element", tables)
         self.renew()
+
+    def thresholds(self, attribute: Node) -> Thresholds:
+        """Return the constraints on an attribute in the order of their thresholds."""
+        thresholds = self._thresholds.get(attribute)
+        if thresholds is None:
+            thresholds = self._thresholds[attribute] = Thresholds(attribute)
+        return thresholds
 
     def find(self, element: Element | Constraint) -> Node:
         """Return the node of an element of this model; UnknownName if it is not, or no longer, in the model."""
@@ -184,7 +191,7 @@ class Network:
         An element keeps its node. The index of a removed element is not used again.
         """
         self.revision += 1
-        self.thresholds.cache_clear()
+        self._thresholds = {}
         for cls, known in self._tables.items():
             kind, table = KINDS[cls], self.model.tables[cls]
             for key, element in table.items():
@@ -197,31 +204,31 @@ class Network:
                 [key for key in known if key not in table] if len(known) > len(table) else ()
             ):
                 known.pop(key, None)
-        links: list[list[Node]] = [
-            [] for _ in range(3 * len(self.nodes))
-        ]  # three of each node, side by side in memory
-
-        def join(part: Node, whole: Node) -> None:
-            links[3 * whole.index + 1].append(part)
-            links[3 * part.index + 2].append(whole)
-
+        for node in self.nodes:
+            node.constraints, node.requires, node.used_by = [], [], []
         for node in self.configurations.values():
-            join(node, self.components[node.element.component])
+            link(self.components[node.element.component], node)
         for node in self.designs.values():
             for name in node.element.components:
-                join(self.components[name], node)
-            join(node, self.functions[node.element.function])
+                link(node, self.components[name])
+            link(self.functions[node.element.function], node)
         for node in self.actions.values():
             for name in dict.fromkeys(node.element.functions):
-                join(self.functions[name], node)
+                link(node, self.functions[name])
         for node in self.constraints.values():
-            attribute = self.attributes[node.element.attribute]
-            targets = [
-                self._tables[type(one)][one.name] for one in dict.fromkeys(node.element.constrained)
-            ]
-            links[3 * node.index + 1].append(attribute)
-            links[3 * node.index + 2] += targets
-            for one in (attribute, *targets):
-                links[3 * one.index].append(node)
-        for node in self.present():
-            node.constraints, node.parts, node.wholes = links[3 * node.index : 3 * node.index + 3]
+            self._link_constraint(node)
+
+    def _link_constraint(self, node: Node) -> None:
+        attribute = self.attributes[node.element.attribute]
+        node.requires.append(attribute)
+        attribute.constraints.append(node)
+        for element in dict.fromkeys(node.element.constrained):
+            owner = self._tables[type(element)][element.name]
+            node.used_by.append(owner)
+            owner.constraints.append(node)
+
+
+def link(user: Node, part: Node) -> None:
+    """Connect two nodes: the status of the user is inferred from that of the part."""
+    user.requires.append(part)
+    part.used_by.append(user)

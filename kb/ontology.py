@@ -911,9 +911,9 @@ def _about(reference: Any) -> str:  # noqa: ANN401
 def _inferred(state: State, describer: _Describer) -> Iterator[Individual]:
     for node in state.network.present():
         if node.kind != "attribute":
-            values: dict[str, tuple[Value, ...]] = {"status": (str(state.status[node.index]),)}
+            values: dict[str, tuple[Value, ...]] = {"status": (str(state.status[node]),)}
             if node.kind in _REQUIRABLE:
-                values["isRequired"] = (bool(state.required[node.index]),)
+                values["isRequired"] = (state.is_required(node),)
             yield Individual("", describer.id(node.element), values)
 
 
@@ -921,7 +921,8 @@ def _present(state: State, describer: _Describer) -> Iterator[Period]:
     """Yield what goes on now."""
     for node in state.network.present():
         for word, column in _COLUMNS.items():
-            value = getattr(state, column)[node.index]
+            facts = vars(state)[column]
+            value = facts.get(node) if isinstance(facts, dict) else node in facts
             if value:
                 said = state.reason(column, node)
                 fields: dict[str, Any] = {"reason": said.text}

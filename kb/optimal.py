@@ -1,7 +1,7 @@
 """The best joint choice of designs and configurations, proven by CP-SAT of OR-tools.
 
-One worker, a fixed seed and an effort that is counted in work instead of seconds make the answer the same
-on every machine. All numbers are whole, so that comparing two choices is exact.
+One worker, a fixed seed and an effort that is counted in work instead of seconds make the answer
+the same on every machine. All numbers are whole, so that comparing two choices is exact.
 """
 
 import logging
@@ -30,7 +30,7 @@ from kb.state import State
 _log = logging.getLogger(__name__)
 
 DIGITS: Final = 12
-"""The most digits of the sum of all amounts of a kind as whole numbers; beyond that they are rounded."""
+"""The most digits of a sum of whole amounts; beyond that they are rounded."""
 
 _SETTINGS: Final = {
     "num_workers": 1,
@@ -59,18 +59,21 @@ def load_cp_model() -> Untyped:
 
 
 class OptimalPlanner:
-    """Chooses the best joint configuration of all that is required, or says how far it may be from the best.
+    """Chooses the best joint configuration of all that is required.
 
-    It chooses again for all that is required when something is adaptable, or the preferences changed since
-    the last choice. Without budgets, and without estimations of a preferred attribute, it chooses as
-    `PriorityPlanner` does.
+    It chooses again for all that is required when something is adaptable, or the preferences
+    changed since the last choice. Without budgets, and without estimations of a preferred
+    attribute, it chooses as `PriorityPlanner` does.
 
     Args:
-        switching_cost: the cost of activating or deactivating a component or changing its configuration,
-            the same for all or by name of the component; for a smaller gain nothing is switched. Plain
-            components are activated and deactivated at no cost, because they are not switched.
-        budgets: the most that the estimations of what is chosen or active may sum up to, by attribute.
-        effort: the most work for one choice, in CP-SAT's deterministic time; 0.3 is about a second.
+        switching_cost: the cost of activating or deactivating a component or changing its
+            configuration, the same for all or by name of the component; for a smaller gain nothing
+            is switched. Plain components are activated and deactivated at no cost, because they
+            are not switched.
+        budgets: the most that the estimations of what is chosen or active may sum up to, by
+            attribute.
+        effort: the most work for one choice, in CP-SAT's deterministic time; 0.3 is about a
+            second.
 
     Attributes:
         latest: the latest result; None before the first, and after a choice by priority.
@@ -93,12 +96,12 @@ class OptimalPlanner:
         self._settings = Criterion({}, switching_cost, dict(budgets or {}))
         self._effort = effort
         self._last = WeakKeyDictionary[KnowledgeBase, tuple[Mapping[str, float], str]]()
-        """By knowledge base: the weights of the last choice, and why there was none; empty if there was one."""
+        """The weights of the last choice, and why there was none, by knowledge base."""
         self.latest: Optimum | None = None
 
     @property
     def budgets(self) -> Mapping[str, float]:
-        """The most that the estimations of what is chosen or active may sum up to, by name of attribute."""
+        """The most that estimations may sum up to, by name of attribute."""
         return self._settings.budgets
 
     def criterion(self, kb: KnowledgeBase) -> Criterion:
@@ -111,7 +114,7 @@ class OptimalPlanner:
         return _choice(kb, self.optimum(kb) if self._is_due(kb) else None)
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
-        """Select for all that is required if something is adaptable or preferences changed; see `Planner`."""
+        """Select for all that is required if it is due; see `Planner`."""
         if kb not in self._last:  # a wrong name is an error at the first update
             with kb.reading() as state:
                 self._settings.check(state.network)
@@ -130,9 +133,10 @@ class OptimalPlanner:
         return plan
 
     def optimum(self, kb: KnowledgeBase) -> Optimum | None:
-        """Return the best choice for the present state of a knowledge base; None if priority is to decide.
+        """Return the best choice for the present state; None if priority is to decide.
 
-        Priority decides where nothing is estimated or limited, and where no choice was found within the effort.
+        Priority decides where nothing is estimated or limited, and where no choice was found
+        within the effort.
         """
         criterion = self.criterion(kb)
         with kb.reading() as state:
@@ -151,17 +155,17 @@ class OptimalPlanner:
 
 
 def _choice(kb: KnowledgeBase, optimum: Optimum | None) -> Choice | None:
-    """Return what to select; an empty choice, which gives up what is obsolete, if nothing else can be chosen."""
+    """Return what to select; an empty choice only gives up what is obsolete."""
     with kb.reading() as state:
         if optimum is None:
             return choice_by_priority(state)
         choice = optimum.choice
         if choice is None or not (choice.designs or choice.configurations):
-            return Choice({}, {}) if state.obsolete else None
+            return Choice({}, {}) if state.obsolete() else None
         network = state.network
         chosen = [network.designs[name] for name in choice.designs.values()]
         chosen += [network.configurations[name] for name in choice.configurations.values()]
-        if all(state.selected[node.index] for node in chosen):
+        if all(node in state.selected for node in chosen):
             return Choice({}, {})  # `kb.select` says why the plan is needed all the same
         return Choice(choice.designs, choice.configurations, optimum.reason)
 
@@ -192,9 +196,10 @@ class Slot:
 class Problem:
     """The problem of choosing for all that is required in a state; solved once.
 
-    A slot is a function, for which one design is chosen, or a component, for which one configuration is
-    chosen if a chosen design needs it. The estimations of what is chosen add up. The problem copies what it
-    needs from the state, so the state may change while the problem is solved.
+    A slot is a function, for which one design is chosen, or a component, for which one
+    configuration is chosen if a chosen design needs it. The estimations of what is chosen add up.
+    The problem copies what it needs from the state, so the state may change while the problem is
+    solved.
 
     Attributes:
         is_weighed: an estimation or a budget concerns what takes part; if not, priority decides.
@@ -206,30 +211,30 @@ class Problem:
     def __init__(self, state: State, criterion: Criterion) -> None:
         criterion.check(state.network)
         self._criterion = criterion
-        functions = [
-            node for node in state.network.functions.values() if state.required[node.index]
-        ]
+        functions = [node for node in state.network.functions.values() if state.is_required(node)]
         self._designs = {node: ranked(state, node) for node in functions}
         self._kept = [  # of functions that are stuck with what they have
             design
             for node, designs in self._designs.items()
-            for design in node.parts
-            if not designs and state.selected[design.index]
+            for design in node.requires
+            if not designs and design in state.selected
         ]
-        components = {part for node in functions for design in node.parts for part in design.parts}
+        components = {
+            part for node in functions for design in node.requires for part in design.requires
+        }
         in_order = sorted(components, key=lambda node: node.index)
         self._components = {node: ranked(state, node) for node in in_order}
-        self._obsolete = [node for node in state.obsolete.nodes() if node.kind == "component"]
-        choices = [part for node in (*functions, *in_order) for part in node.parts]
-        self._selected = {node for node in choices if state.selected[node.index]}
-        self._active = {node for node in components if state.active[node.index]}
-        self._asserted = {node for node in components if state.asserted_required[node.index]}
+        self._obsolete = [node for node in state.obsolete() if node.kind == "component"]
+        choices = [part for node in (*functions, *in_order) for part in node.requires]
+        self._selected = {node for node in choices if node in state.selected}
+        self._active = {node for node in components if node in state.active}
+        self._asserted = {node for node in components if node in state.asserted_required}
         self._replaceable = {  # a plan stops only what it replaces or what is obsolete
             node
             for node in components
             if any(
-                state.selected[design.index] and self._designs.get(design.wholes[0])
-                for design in node.wholes
+                design in state.selected and self._designs.get(design.used_by[0])
+                for design in node.used_by
             )
         }
         names = {name for name, weight in criterion.weights.items() if weight}
@@ -240,16 +245,17 @@ class Problem:
             if estimation.attribute in names
         }
         concerned = {*in_order, *self._kept}
-        for possible in (*self._designs.values(), *(node.parts for node in in_order)):
+        for possible in (*self._designs.values(), *(node.requires for node in in_order)):
             concerned.update(possible)
         is_estimated = not concerned.isdisjoint(self._causers.values())
         self.is_weighed = bool(criterion.budgets) or is_estimated
 
     def solve(self, effort: float = 0.3) -> Optimum:
-        """Return the best choice found within an effort [CP-SAT's deterministic time]; of equally good ones the first.
+        """Return the best choice found within an effort; of equally good ones the first.
 
-        The order of choices is by priority and name of the design of the function declared first, then of the
-        next function, and so on, and then by the configurations of the components in the same way.
+        The order of choices is by priority and name of the design of the function declared first,
+        then of the next function, and so on, and then by the configurations of the components in
+        the same way.
         """
         self._cp = load_cp_model()
         with localcontext(Context(prec=60)):
@@ -292,7 +298,7 @@ class Problem:
     # ---------------------------------------------------------------- amounts as whole numbers
 
     def _estimate(self) -> None:
-        """Find the units in which all amounts are whole, and the estimated amounts of each causer."""
+        """Find the units in which all amounts are whole, and the amounts of each causer."""
         criterion = self._criterion
         weights = {name: _decimal(weight) for name, weight in criterion.weights.items() if weight}
         values = {estimation: _decimal(estimation.adds) for estimation in self._causers}
@@ -353,7 +359,7 @@ class Problem:
         return 0 if component.element.kind is ComponentKind.PLAIN else self._costs[component]
 
     def _add(self, literal: Untyped, *nodes: Node, cost: int = 0) -> None:
-        """Add the estimations of nodes, less a switching cost, to the sums that count where a literal is true."""
+        """Add estimations, less a switching cost, to the sums where a literal is true."""
         gain = -cost
         loads = [0] * len(self._loads)
         for estimated in (one for node in nodes for one in self._estimated.get(node, ())):
@@ -379,18 +385,18 @@ class Problem:
             design: self._literal(design, is_now=design in self._selected) for design in designs
         }
         self._model.add_exactly_one(options.values())
-        for part in dict.fromkeys(part for design in designs for part in design.parts):
-            users = [options[design] for design in designs if part in design.parts]
+        for part in dict.fromkeys(part for design in designs for part in design.requires):
+            users = [options[design] for design in designs if part in design.requires]
             self._users[part].append(users)
         return Slot(node, options)
 
     def _component(self, node: Node, configurations: Sequence[Node]) -> Slot:
-        """Encode that one configuration is chosen if the component is needed, and none otherwise."""
+        """Encode that one configuration is chosen if the component is needed, else none."""
         cost = self._costs[node]
         to_switch = self._cost_to_switch(node)
         is_active = node in self._active
         is_asserted = node in self._asserted
-        selected = [part for part in node.parts if part in self._selected]
+        selected = [part for part in node.requires if part in self._selected]
         stays = is_active and node not in self._replaceable
         to_start = 0 if is_active else to_switch
         options: dict[Node | None, Untyped] = {}
@@ -405,7 +411,7 @@ class Problem:
         users = self._users[node]
         for users_of_function in users:  # at most one of them is chosen
             self._model.add(self._sum(users_of_function) <= needed)
-        if (stays and is_asserted) or any(node in design.parts for design in self._kept):
+        if (stays and is_asserted) or any(node in design.requires for design in self._kept):
             self._model.add(needed == 1)
         else:
             every = [literal for users_of_function in users for literal in users_of_function]
@@ -451,7 +457,7 @@ class Problem:
         return status in (self._cp.OPTIMAL, self._cp.FEASIBLE)
 
     def _run_for_first(self, gain: int) -> Untyped:
-        """Find the first choice of that gain; the search goes in the order of choices only without presolving."""
+        """Find the first choice of that gain; presolving would change the order."""
         self._model.add(self._gain >= gain)
         self._model.clear_objective()
         self._model.clear_hints()
@@ -502,7 +508,7 @@ class Problem:
         return f"this is {best}{within} that {effort} found{worth}; {gap}"
 
     def _why_nothing_fits(self, unlimited: Untyped) -> str:
-        """Say which budgets are too small for any choice, as far as this is found within the effort that is left."""
+        """Return which budgets are too small for any choice, as far as the effort allows."""
         reasons = []
         units = self._load_units.items()
         for load, limit, (name, unit) in zip(self._loads, self._limits, units, strict=True):

@@ -1,4 +1,4 @@
-"""Choices of designs and configurations: by priority, what makes one better, and what follows from a choice."""
+"""Choices of designs and configurations, by priority or a criterion, and what they change."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -6,17 +6,16 @@ from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 from kb.elements import ComponentKind, Configuration, FunctionDesign, finite_number
-from kb.events import StatusChange
 from kb.exceptions import InvalidValue
 from kb.network import Network, Node
 from kb.records import ReconfigurationPlan
-from kb.state import Overlay, State, propagate
+from kb.state import State, in_order
 from kb.status import Status
 from kb.views import ConfigurationView, DesignView, Readable
 
 
 class Choice(NamedTuple):
-    """The chosen design of each function and configuration of each component, by name; and the reason."""
+    """The chosen design of each function and configuration of each component, and why."""
 
     designs: Mapping[str, str]
     configurations: Mapping[str, str]
@@ -33,10 +32,13 @@ class Criterion:
     """What makes one choice better than another, and the budgets that no choice may exceed.
 
     Attributes:
-        weights: how much a unit of each attribute is worth, by name; less than 0 if less of it is better.
-        switching_cost: the cost of activating or deactivating a component or changing its configuration,
-            the same for all or by name of the component; in the unit of value times weight.
-        budgets: the most that the estimations of what is chosen or active may sum up to, by attribute.
+        weights: how much a unit of each attribute is worth, by name; less than 0 if less of it is
+            better.
+        switching_cost: the cost of activating or deactivating a component or changing its
+            configuration, the same for all or by name of the component; in the unit of value times
+            weight.
+        budgets: the most that the estimations of what is chosen or active may sum up to, by
+            attribute.
     """
 
     weights: Mapping[str, float]
@@ -92,11 +94,15 @@ class Optimum:
 
     Attributes:
         choice: what to select; None if no choice keeps within the budgets, or none was found.
-        value: the worth of the choice by its criterion, without switching costs; None without a choice.
-        switching: the switching costs; value + switching is what is estimated; None without a choice.
+        value: the worth of the choice by its criterion, without switching costs; None without a
+            choice.
+        switching: the switching costs; value + switching is what is estimated; None without a
+            choice.
         bound: an upper bound of the value of any choice; None without a choice.
-        resolution: choices whose values differ by no more than this count as equally good; 0 if exact.
-        is_proven: no choice is better by more than the resolution, and no equal one comes first in order.
+        resolution: choices whose values differ by no more than this count as equally good; 0 if
+            exact.
+        is_proven: no choice is better by more than the resolution, and no equal one comes first in
+            order.
         reason: how sure that is, or why there is no choice, in words.
     """
 
@@ -115,7 +121,7 @@ class Optimum:
 
     @property
     def worth(self) -> str:
-        """The worth of the choice in words, with and without switching costs; empty without a choice."""
+        """The worth of the choice in words, with its switching costs; empty without one."""
         if self.value is None or self.switching is None:
             return ""
         worth = number(self.value)
@@ -131,7 +137,7 @@ def number(value: float) -> str:
 
 
 def summed_weights(preferences: Iterable[str | Mapping[str, float] | None]) -> dict[str, float]:
-    """Return the sum of all weights by attribute; a preference for one attribute has the weight 1."""
+    """Return the sum of all weights by attribute; a name alone has the weight 1."""
     weights: dict[str, float] = {}
     for preference in preferences:
         weighed = {preference: 1.0} if isinstance(preference, str) else preference or {}
@@ -146,13 +152,13 @@ def summed_weights(preferences: Iterable[str | Mapping[str, float] | None]) -> d
 def by_priority(
     candidate: FunctionDesign | Configuration | DesignView | ConfigurationView,
 ) -> tuple[bool, float, str]:
-    """Return a key for sorting: the lowest priority number first, no priority last, ties by name."""
+    """Return a key for sorting: the lowest number first, none last, ties by name."""
     return candidate.priority is None, candidate.priority or 0, candidate.name
 
 
 def ranked(state: State, owner: Node) -> list[Node]:
     """Return the parts of a function or component that are not unfeasible, sorted by priority."""
-    possible = [part for part in owner.parts if state.status[part.index] is not Status.UNFEASIBLE]
+    possible = [part for part in owner.requires if state.status[part] is not Status.UNFEASIBLE]
     possible.sort(key=lambda part: by_priority(part.element))
     return possible
 
@@ -166,24 +172,25 @@ def firsts_by_priority(state: State, owners: Iterable[Node]) -> list[Node]:
 
 
 def choice_by_priority(state: State) -> Choice | None:
-    """Choose by priority for each adaptable function, then for each component that is adaptable with these designs.
+    """Choose by priority for each adaptable function, and each component adaptable then.
 
-    Returns None if there is nothing to do; an empty choice means that only what is obsolete is given up.
+    Returns None if there is nothing to do; an empty choice means that only what is obsolete is
+    given up.
     """
-    adaptable = state.adaptable.nodes()
+    adaptable = in_order(state.adaptable)
     functions = [node for node in adaptable if node.kind == "function"]
     designs = firsts_by_priority(state, functions)
     selection = decide(state, designs)
     if selection.flips:
-        following = Overlay(state)
+        following = state.copy()
         apply_selection(following, selection)
-        adaptable = following.adaptable.nodes()
+        adaptable = in_order(following.adaptable)
     given_up = selection.deactivate
     components = [
         node for node in adaptable if node.kind == "component" and node.name not in given_up
     ]
     configurations = firsts_by_priority(state, components)
-    if not (designs or configurations or state.obsolete):
+    if not (designs or configurations or state.obsolete()):
         return None
     return Choice(by_owner(designs), by_owner(configurations))
 
@@ -200,10 +207,10 @@ class Selecting(Readable, Protocol):
 
 
 class PriorityPlanner:
-    """Chooses what is not unfeasible with the lowest priority number; no priority comes last, ties go by name."""
+    """Chooses the lowest priority number of what is feasible; none last, ties by name."""
 
     def choose(self, kb: Selecting) -> Choice | None:
-        """Choose a design for each adaptable function, then a configuration for each component adaptable with these."""
+        """Choose for each adaptable function, then for each component adaptable with that."""
         with kb.reading() as state:
             return choice_by_priority(state)
 
@@ -217,7 +224,7 @@ class PriorityPlanner:
 
 
 class Obsolete(NamedTuple):
-    """Names of active components and selected designs and configurations that nothing required needs any more."""
+    """Names of what is active or selected and nothing required needs any more."""
 
     components: tuple[str, ...]
     designs: tuple[str, ...]
@@ -231,7 +238,8 @@ class Selection(NamedTuple):
     """What a choice changes.
 
     Attributes:
-        flips: the designs and configurations that are selected and were not, or the other way round.
+        flips: the designs and configurations that are selected and were not, or the other way
+            round.
         activate, deactivate, parameters: what the managed system has to do then, by name.
     """
 
@@ -258,77 +266,75 @@ class Selection(NamedTuple):
 
 
 def obsolete(state: State) -> Obsolete:
-    """Return what is obsolete: selected or active for no required function (an asserted `required` does not count)."""
-    nodes = state.obsolete.nodes()
+    """Return what is selected or active for no required function."""
+    nodes = state.obsolete()
     kinds = "component", "function design", "configuration"
     return Obsolete(*(_names(node for node in nodes if node.kind == kind) for kind in kinds))
 
 
 def decide(state: State, chosen: Sequence[Node]) -> Selection:
-    """Decide what a choice of designs and configurations changes; what is obsolete is given up. Nothing changes yet."""
-    unneeded = state.obsolete.nodes()
+    """Decide what a choice changes; what is obsolete is given up. Nothing changes yet."""
+    unneeded = state.obsolete()
     flips = _flips(state, chosen)
-    flips += [node for node in unneeded if node.kind != "component" and node not in flips]
     flipped = set(flips)
+    flips += [node for node in unneeded if node.kind != "component" and node not in flipped]
+    flipped.update(flips)
 
     def is_used(design: Node) -> bool:
-        is_selected = state.selected[design.index] != (design in flipped)
-        return is_selected and state.required[design.wholes[0].index]
+        is_selected = (design in state.selected) != (design in flipped)
+        return is_selected and state.is_required(design.used_by[0])
 
-    owners = {node.wholes[0] for node in chosen}
+    owners = {node.used_by[0] for node in chosen}
     replaced = [
         node
         for node in flips
-        if node.kind == "function design"
-        and state.selected[node.index]
-        and node.wholes[0] in owners
+        if node.kind == "function design" and node in state.selected and node.used_by[0] in owners
     ]
     stopped = [
-        part for design in replaced for part in design.parts if not any(map(is_used, part.wholes))
+        part
+        for design in replaced
+        for part in design.requires
+        if not any(map(is_used, part.used_by))
     ]
     stopped += [node for node in unneeded if node.kind == "component"]
-    waiting = {design for component in state.lacking.nodes() for design in component.wholes}
+    waiting = {design for component in state.inactive_required() for design in component.used_by}
     waiting.update(node for node in flips if node.kind == "function design")
     started = [
         part
         for design in sorted(filter(is_used, waiting), key=lambda design: design.index)
-        for part in design.parts
+        for part in design.requires
     ]
     return Selection(
         flips=tuple(flips),
-        activate=_names(part for part in started if not state.active[part.index]),
-        deactivate=_names(part for part in stopped if state.active[part.index]),
+        activate=_names(part for part in started if part not in state.active),
+        deactivate=_names(part for part in stopped if part in state.active),
         parameters=_names(
-            node
-            for node in flips
-            if node.kind == "configuration" and not state.selected[node.index]
+            node for node in flips if node.kind == "configuration" and node not in state.selected
         ),
     )
 
 
-def apply_selection(state: State, selection: Selection) -> tuple[StatusChange, ...]:
-    """Select and unselect, and return the statuses that changed."""
-    for node in selection.flips:
-        state.put(state.selected, node.index, not state.selected[node.index])
-    return tuple(propagate(state, selection.flips))
+def apply_selection(state: State, selection: Selection) -> None:
+    """Select and unselect in a copy of a state."""
+    state.touch(selection.flips)
+    state.selected = state.selected.symmetric_difference(selection.flips)
+    state.infer()
 
 
 def by_owner(chosen: Iterable[Node]) -> Mapping[str, str]:
     """Return the names of what is chosen by what it is chosen for."""
-    return MappingProxyType({node.wholes[0].name: node.name for node in chosen})
+    return MappingProxyType({node.used_by[0].name: node.name for node in chosen})
 
 
 def _flips(state: State, chosen: Sequence[Node]) -> list[Node]:
-    """Return the parts of the owners whose selection changes; what would be obsolete is not selected."""
+    """Return what a choice selects and unselects; what would be obsolete is not selected."""
     flips = []
     for node in chosen:
-        owner = node.wholes[0]
-        is_needed = (
-            state.required[owner.index] if owner.kind == "function" else state.served[owner.index]
-        )
-        for part in owner.parts:
+        owner = node.used_by[0]
+        is_needed = state.is_required(owner) if owner.kind == "function" else state.serves(owner)
+        for part in owner.requires:
             is_wanted = part is node and bool(is_needed)
-            if bool(state.selected[part.index]) != is_wanted:
+            if (part in state.selected) != is_wanted:
                 flips.append(part)
     return flips
 

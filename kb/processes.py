@@ -36,8 +36,8 @@ class Program:
         environment: variables in addition to those of this process.
         directory: where it runs; None for where this process is.
         grace_s: how long it may take to end after SIGTERM [s]; then it is killed.
-        configure: called with new parameters while it runs, may return an operation; without it, new
-            parameters count from the next start on.
+        configure: called with new parameters while it runs, may return an operation; without it,
+            new parameters count from the next start on.
         is_ros_node: parameters are added as `-p name:=value`.
     """
 
@@ -51,8 +51,8 @@ class Program:
     def __post_init__(self) -> None:
         if isinstance(self.arguments, str) or not self.arguments:
             raise InvalidValue(
-                'arguments are a list that begins with the executable, e.g. ["node", "--quiet"], not '
-                f"{self.arguments!r}; no shell takes them apart"
+                "arguments are a list that begins with the executable, e.g. "
+                f'["node", "--quiet"], not {self.arguments!r}; no shell takes them apart'
             )
         for text in (*self.arguments, *self.environment, *self.environment.values()):
             if not isinstance(text, str) or "\0" in text:
@@ -85,8 +85,13 @@ class Program:
         return command
 
 
-def ros_node(package: str, executable: str, name: str = "", **options: Any) -> Program:  # noqa: ANN401  # of Program
-    """Return the program `ros2 run package executable`; a name renames the node, options are of `Program`."""
+def ros_node(
+    package: str,
+    executable: str,
+    name: str = "",
+    **options: Any,  # noqa: ANN401  # of Program
+) -> Program:
+    """Return the program `ros2 run package executable`; a name renames the node."""
     arguments = ["ros2", "run", package, executable, "--ros-args"]
     if name:
         arguments += ["-r", f"__node:={name}"]
@@ -170,12 +175,13 @@ class _Termination:
 
 
 class ProcessComponents(AbstractContextManager["ProcessComponents"]):
-    """A managed system of components that are processes, which notices those that end by themselves.
+    """A managed system of processes, which notices those that end by themselves.
 
-    Each process runs in a process group of its own. It is asked to end with SIGTERM, and the group is
-    killed after its grace. What it writes goes where the output of this program goes. The manager calls
-    `observe` at each turn; so the knowledge base knows what was started and has ended. Close it, or use it
-    in a `with` statement. If this program is killed, its processes go on.
+    Each process runs in a process group of its own. It is asked to end with SIGTERM, and the group
+    is killed after its grace. What it writes goes where the output of this program goes. The
+    manager calls `observe` at each turn; so the knowledge base knows what was started and has
+    ended. Close it, or use it in a `with` statement. If this program is killed, its processes go
+    on.
 
     Args:
         programs: what to run, by name of the component.
@@ -219,8 +225,8 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
             )
         except OSError as error:
             raise KnowledgeBaseError(
-                f"{command[0]!r} cannot be run: {error.strerror}; if it is a script, see whether its "
-                "first line names an interpreter that is there"
+                f"{command[0]!r} cannot be run: {error.strerror}; if it is a script, see "
+                "whether its first line names an interpreter that is there"
             ) from None
         self._processes[component] = _Process(popen, parameters)
         self._unrecorded.append(("component_started", component, popen.pid))
@@ -236,7 +242,7 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
         return _Termination(process)
 
     def set_parameters(self, component: str, parameters: Parameters, /) -> Operation | None:
-        """Set the parameters of a component; without `configure` they count from its next start on."""
+        """Set the parameters; without `configure` they count from the next start on."""
         program = self._program(component)
         program.command(parameters)
         process = self._processes.get(component)
@@ -252,7 +258,7 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
         return operation
 
     def is_active(self, component: str, /) -> bool:
-        """Return whether a component runs; one that ended by itself does until `observe` records it."""
+        """Return whether a component runs; one that crashed does until `observe` records it."""
         self._program(component)
         process = self._processes.get(component)
         return process is not None and process.kill_at is None
@@ -260,10 +266,12 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
     def observe(self, kb: KnowledgeBase) -> None:
         """Record what was started and what has ended since the last time.
 
-        Processes that an earlier program recorded in the same knowledge base are recorded as ended.
+        Processes that an earlier program recorded in the same knowledge base are recorded as
+        ended.
 
         Raises:
-            UnknownName: a program is for a component that the model does not have; the first time only.
+            UnknownName: a program is for a component that the model does not have; the first time
+                only.
         """
         if kb is not self._kb:
             self._kb = kb
@@ -277,7 +285,7 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
         self._record(kb)
 
     def close(self) -> None:
-        """End all processes and wait for them; the knowledge base that was last observed is told."""
+        """End all processes, wait for them, and record it in the knowledge base."""
         atexit.unregister(self.close)
         for component, process in self._processes.items():
             if process.kill_at is None:

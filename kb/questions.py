@@ -5,20 +5,19 @@ if some facts were different. No question changes anything.
 """
 
 from collections.abc import Iterable, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from kb import explanation, views
+from kb.debounce import Debounced, voted_status
 from kb.elements import Constraint, Element, finite_number, listed, meant_by, shown
 from kb.exceptions import InvalidValue
-from kb.forecast import Forecast, feasible_until, suppose_forecast
-from kb.knowledge import Reading
-from kb.measurements import verdict
+from kb.forecast import feasible_until, suppose_forecast
 from kb.network import Network, Node, Ref
 from kb.planning import Choice, Obsolete, apply_selection, by_owner, decide, firsts_by_priority
 from kb.planning import obsolete as all_obsolete
-from kb.state import Overlay, State, propagate
+from kb.state import State, in_order
 from kb.status import Status
 from kb.views import ElementView, Readable
 
@@ -33,14 +32,14 @@ ELEMENTS: Final = (
 """The kinds of elements that have a status; all but constraints have a name too."""
 _EXPLAINED: Final = (*ELEMENTS, "attribute")
 
-Meant = ElementView | Element | Constraint | Ref | str
+ElementLike = ElementView | Element | Constraint | Ref | str
 """An element may be given as a view of it, as itself, as what stands for it in events, or by its name."""
 
 
 def is_feasible(base: Readable, action: str) -> bool:
     """Tell whether an action can be done now: its status is not "unfeasible"."""
     with base.reading() as state:
-        return state.status[state.network.actions[action].index] is not Status.UNFEASIBLE
+        return state.status[state.network.actions[action]] is not Status.UNFEASIBLE
 
 
 def selectable_actions(base: Readable) -> tuple[str, ...]:
@@ -52,23 +51,23 @@ def selectable_actions(base: Readable) -> tuple[str, ...]:
 def selectable_designs(base: Readable, function: str) -> tuple[str, ...]:
     """Names of a function's designs that can be selected now, in order of declaration."""
     with base.reading() as state:
-        return _selectable(state, state.network.functions[function].parts)
+        return _selectable(state, state.network.functions[function].requires)
 
 
 def selectable_configurations(base: Readable, component: str) -> tuple[str, ...]:
     """Names of a component's configurations that can be selected now, in order of declaration."""
     with base.reading() as state:
-        return _selectable(state, state.network.components[component].parts)
+        return _selectable(state, state.network.components[component].requires)
 
 
 def best_configuration(base: Readable, action: str) -> Choice | None:
     """Return what comes first by priority for an action by itself, required or not; None while it is unfeasible."""
     with base.reading() as state:
         node = state.network.actions[action]
-        if state.status[node.index] is Status.UNFEASIBLE:
+        if state.status[node] is Status.UNFEASIBLE:
             return None
-        designs = firsts_by_priority(state, node.parts)
-        components = dict.fromkeys(part for design in designs for part in design.parts)
+        designs = firsts_by_priority(state, node.requires)
+        components = dict.fromkeys(part for design in designs for part in design.requires)
         return Choice(
             dict(by_owner(designs)), dict(by_owner(firsts_by_priority(state, components)))
         )
@@ -90,7 +89,7 @@ def adaptable_components(
     """
     names = listed("designs", designs.values() if isinstance(designs, Mapping) else designs)
     with base.reading() as state:
-        supposed = Overlay(state)
+        supposed = state.copy()
         designs_chosen = [state.network.designs[name] for name in names]
         apply_selection(supposed, decide(supposed, designs_chosen))
         return _adaptable(supposed, "component")
@@ -102,7 +101,7 @@ def obsolete(base: Readable) -> Obsolete:
         return all_obsolete(state)
 
 
-def explain(base: Readable, element: Meant) -> explanation.Explanation:
+def explain(base: Readable, element: ElementLike) -> explanation.Explanation:
     """Say why an element has the status that it has, and what would make it feasible if it is not.
 
     A name that several kinds share means the action before the function, component, design, configuration and
@@ -110,17 +109,17 @@ def explain(base: Readable, element: Meant) -> explanation.Explanation:
     """
     now = base.now
     with base.reading() as state:
-        return explanation.explain(state, meant(base, state, element, _EXPLAINED), now)
+        return explanation.explain(state, resolve(base, state, element, _EXPLAINED), now)
 
 
-def why(base: Readable, element: Meant) -> str:
+def why(base: Readable, element: ElementLike) -> str:
     """Say in a sentence why an element has its status; quicker than `explain`, for it looks for no remedies."""
     now = base.now
     with base.reading() as state:
-        return explanation.why(state, meant(base, state, element, _EXPLAINED), now)
+        return explanation.why(state, resolve(base, state, element, _EXPLAINED), now)
 
 
-def explain_choice(base: Readable, element: Meant) -> explanation.ChoiceExplanation:
+def explain_choice(base: Readable, element: ElementLike) -> explanation.ChoiceExplanation:
     """Say why a function has the design, or a component the configuration, that it has, and not another one.
 
     Of a name that both kinds share the function is meant.
@@ -128,21 +127,26 @@ def explain_choice(base: Readable, element: Meant) -> explanation.ChoiceExplanat
     now = base.now
     with base.reading() as state:
         return explanation.explain_choice(
-            state, meant(base, state, element, ("function", "component")), now
+            state, resolve(base, state, element, ("function", "component")), now
         )
 
 
 def outline(state: State) -> str:
     """Say in short what the actions of a state are."""
     actions = state.network.actions.values()
-    feasible = sum(state.status[action.index] is not Status.UNFEASIBLE for action in actions)
-    required = [action.name for action in actions if state.required[action.index]]
+    feasible = sum(state.status[action] is not Status.UNFEASIBLE for action in actions)
+    required = [action.name for action in actions if state.is_required(action)]
     words = f"{feasible} of {len(actions)} actions feasible"
     return f"{words}, required: {', '.join(required)}" if required else words
 
 
-def meant(
-    base: Readable, state: State, element: Meant, kinds: Iterable[str], *, unique: bool = False
+def resolve(
+    base: Readable,
+    state: State,
+    element: ElementLike,
+    kinds: Iterable[str],
+    *,
+    unique: bool = False,
 ) -> Node:
     """Return the node that is meant; a bare name is looked for in the given kinds, in this order.
 
@@ -180,15 +184,11 @@ def preferred(
 
 
 def _selectable(state: State, nodes: Iterable[Node]) -> tuple[str, ...]:
-    return tuple(node.name for node in nodes if state.status[node.index] is not Status.UNFEASIBLE)
+    return tuple(node.name for node in nodes if state.status[node] is not Status.UNFEASIBLE)
 
 
 def _adaptable(state: State, kind: str) -> tuple[str, ...]:
-    return tuple(node.name for node in state.adaptable.nodes() if node.kind == kind)
-
-
-_Assumption = tuple[str, Node, float | Forecast | None]
-"""What is supposed, of which element, and the value of what is measured or forecast."""
+    return tuple(node.name for node in in_order(state.adaptable) if node.kind == kind)
 
 
 def suppose(
@@ -225,60 +225,61 @@ def suppose(
         listings[what] = (
             (names,) if isinstance(names, str) else listed(f"names supposed to be {what}", names)
         )
-    then, now = (None, 0.0) if at is None else (finite_number(at), base.now)
+    now = base.now
+    then = now if at is None else finite_number(at)
+    if then < now:
+        raise InvalidValue(
+            f"a situation is that of a time from now on, {now!r} s by the clock; not {at!r}"
+        )
     with base.reading() as state:
-        network = state.network
-        supposed: list[_Assumption] = []
+        supposed = state.copy()
+        network = supposed.network
+        for name in listings["failed"]:
+            _suppose_failed(supposed, network.components[name], True)
+        for name in listings["recovered"]:
+            _suppose_failed(supposed, network.components[name], False)
+        for name in listings["requested"]:
+            action = network.actions[name]
+            supposed.touch([action])
+            supposed.requested.add(action)
         for name, value in values.items():
-            node = network.attributes[name]
-            given = (
-                None if value is None else number(f"{name} cannot be supposed to be", value, node)
-            )
-            supposed.append(("measured", node, given))
-        for what, names in listings.items():
-            table = network.actions if what == "requested" else network.components
-            supposed += [(what, table[name], None) for name in names]
-        if then is not None:
-            of = base.forecast
-            if then < now:
-                raise InvalidValue(
-                    f"a situation is that of a time from now on, {now!r} s by the clock; not {at!r}"
-                )
-            doing = of.doing(None).union(
-                node.name for what, node, _ in supposed if what == "requested"
-            )
-            for node in (node for name, node in network.attributes.items() if name not in values):
-                supposed.append(("forecast", node, of.at(node.name, then, now, doing)))
-    return Situation(base, state, supposed, at)
+            attribute = network.attributes[name]
+            checked = None
+            if value is not None:
+                checked = number(f"{name} cannot be supposed to be", value, attribute)
+            _suppose_measured(supposed, attribute, checked)
+        if at is not None:
+            doing = base.forecast.doing(None).union(listings["requested"])
+            for name, attribute in network.attributes.items():
+                if name not in values:
+                    forecast = base.forecast.at(name, then, now, doing)
+                    suppose_forecast(supposed, attribute, forecast)
+        supposed.infer()
+    return Situation(supposed, then, base.forecast)
 
 
 class Situation:
-    """A knowledge base as it would be if some facts were different; made by `KnowledgeBase.situation`.
+    """A knowledge base as it would be if some facts were different, at one moment.
 
-    The facts are neither changed nor copied. What the base learns later holds here too, under the same assumptions.
+    It is made by `KnowledgeBase.situation`, and is a copy: nothing that is recorded later changes
+    it. It can be pickled; then it can no longer forecast.
     """
 
-    _overlay: Overlay
-
-    def __init__(
-        self,
-        base: Readable,
-        state: State,
-        assumptions: Iterable[_Assumption],
-        at: float | None = None,
-    ) -> None:
-        self._base, self._at = base, at
-        self.forecast = base.forecast
-        self._network = network = state.network
-        self._assumptions = tuple(assumptions)
-        self._seen: tuple[State | None, int, int] = (None, -1, -1)
-        self._held = Reading(base.reading(), self._layered)
+    def __init__(self, state: State, now: float, forecast: Any) -> None:  # noqa: ANN401  # a `Forecaster`, which is made of views
+        self._state = state
+        self._now = now
+        self.forecast = forecast
+        network = state.network
+        self._revision = network.revision
         self.actions = views.Views(self, network.actions, views.ActionView)
         self.functions = views.Views(self, network.functions, views.FunctionView)
         self.components = views.Views(self, network.components, views.ComponentView)
         self.designs = views.Views(self, network.designs, views.DesignView)
         self.configurations = views.Views(self, network.configurations, views.ConfigurationView)
         self.attributes = views.Views(self, network.attributes, views.AttributeView)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Situation, (self._state, self._now, None)
 
     is_feasible = is_feasible
     selectable_actions = selectable_actions
@@ -296,62 +297,49 @@ class Situation:
 
     @property
     def now(self) -> float:
-        """The time for which it was made, or else the time by the clock [s]."""
-        return self._base.now if self._at is None else self._at
+        """The time for which it was made [s]."""
+        return self._now
 
     def reading(self) -> AbstractContextManager[State]:
-        """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
-        self._base.reading()  # makes the events that are due
-        return self._held
-
-    def _layered(self, below: State) -> State:
-        seen = (below, below.version, self._network.revision)
-        if self._seen != seen:
-            self._overlay, self._seen = self._supposed(below), seen
-        return self._overlay
+        """Give the facts and statuses, to be read only, of the model as it is now."""
+        revision = self._state.network.revision
+        self._state.follow_model(self._revision)
+        self._revision = revision
+        return nullcontext(self._state)
 
     def __repr__(self) -> str:
-        with self.reading() as state:
-            return f"<Situation of {self._network.model.name!r}: {outline(state)}>"
-
-    def _supposed(self, below: State) -> Overlay:
-        state = Overlay(below)
-        touched: list[Node] = []
-        for what, node, value in self._assumptions:
-            self._network.find(node.element)
-            if isinstance(value, Forecast):
-                touched += suppose_forecast(state, node, value)
-            elif what == "measured":
-                touched += _suppose_measured(state, node, value)
-            else:
-                touched.append(node)
-            if what == "requested":
-                state.requested[node.index] = True
-            elif what in ("failed", "recovered"):
-                state.failed[node.index] = what == "failed"
-                if what == "recovered" and state.asserted[node.index] is Status.FAILURE:
-                    state.asserted[node.index] = None
-        propagate(state, touched)
-        return state
+        return f"<Situation of {self._state.network.model.name!r}: {outline(self._state)}>"
 
 
-def _suppose_measured(state: State, attribute: Node, value: float | None) -> list[Node]:
-    """Enter a value without a time of measurement; returns the constraints whose status it may change."""
-    index, thresholds = attribute.index, state.network.thresholds(attribute)
-    before, was_stale = state.value[index], state.stale[index]
-    state.value[index], state.time[index], state.stale[index] = value, None, False
-    if was_forecast := bool(state.reason("forecast", attribute).text):
+def _suppose_failed(state: State, component: Node, is_failed: bool) -> None:
+    state.touch([component])
+    if is_failed:
+        state.failed.add(component)
+        return
+    state.failed.discard(component)
+    if state.asserted.get(component) is Status.FAILURE:
+        del state.asserted[component]
+
+
+def _suppose_measured(state: State, attribute: Node, value: float | None) -> None:
+    """Enter a value without a time of measurement; None is "not measured"."""
+    state.touch([attribute])
+    state.time.pop(attribute, None)
+    state.stale.discard(attribute)
+    if state.reason("forecast", attribute).text:
         state.give_reason("forecast", attribute)
-        for one in attribute.constraints:
-            state.verdict[one.index] = None
-    for one in thresholds.steady:
-        known = (
-            None if value is None else verdict(one.constraint, [value], 1, state.verdict[one.index])
-        )
-        state.verdict[one.index] = known  # as once it has been measured for long enough
-    if before is None or value is None or was_stale or was_forecast:
-        return attribute.constraints
-    return [*thresholds.steady, *thresholds.crossed(before, value)]
+        for constraint in attribute.constraints:
+            state.release(constraint)
+    if value is None:
+        state.value.pop(attribute, None)
+    else:
+        state.value[attribute] = value
+    for constraint in state.network.thresholds(attribute).debounced:
+        before = state.verdict(constraint) or Status.NOT_EVALUATED
+        status = Status.NOT_EVALUATED
+        if value is not None:  # as once it has been measured for long enough
+            status = voted_status(constraint.constraint, [value], 1, before) or before
+        state.debounced[constraint] = Debounced(status)
 
 
 def number(refusal: str, value: object, attribute: Node) -> float:

@@ -1,19 +1,23 @@
 """The records: requested actions, reconfiguration plans, processes, attempts, and vetoes of plans."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields
 from types import MappingProxyType
-from typing import Any, Final, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar
 
 from kb.elements import Parameters, is_number, table, whole
 from kb.exceptions import InvalidValue
 from kb.facts import PlanFact, ProcessFact, RequiredActionFact
 
+if TYPE_CHECKING:
+    from kb.events import Event
+
 T = TypeVar("T")
 
 RESULTS: Final = ("completed", "failed", "abandoned")
+_MOST_END_REASONS: Final = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,202 +219,348 @@ class VetoAnswer:
     reason: str = ""
 
 
-class Records:
-    """All records, by number, in order. To put the same record here twice is the same as once."""
+class RecordTable(Generic[T]):
+    """The records of one kind by number, in order; old ones that have ended are forgotten.
+
+    Attributes:
+        begins: no record that ended after this time is forgotten [s].
+    """
 
     def __init__(self, memory: Memory) -> None:
         self._memory = memory
-        self.requests: dict[int, RequiredAction] = {}  # by number of the event of the request
-        self.required: dict[str, RequiredAction] = {}  # those that are open, by action
-        self.plans: dict[int, ReconfigurationPlan] = {}
+        self._records: dict[int, T] = {}
+        self._most = 2 * memory.records
+        self.begins = -math.inf
+
+    def __contains__(self, number: object) -> bool:
+        return number in self._records
+
+    def get(self, number: int) -> T | None:
+        """Return a record by its number; None if there is none."""
+        return self._records.get(number)
+
+    def all(self) -> tuple[T, ...]:
+        """Return all records, in order."""
+        return tuple(self._records.values())
+
+    def items(self) -> tuple[tuple[int, T], ...]:
+        """Return all numbers and records, in order."""
+        return tuple(self._records.items())
+
+    def newest_first(self) -> Iterator[T]:
+        """Yield all records, the newest first."""
+        return reversed(self._records.values())
+
+    @property
+    def first(self) -> int:
+        """The number of the oldest record; 0 without one."""
+        return next(iter(self._records), 0)
+
+    @property
+    def last(self) -> int:
+        """The number of the newest record; 0 without one."""
+        return next(reversed(self._records), 0)
+
+    def add(self, number: int, record: T) -> T:
+        """Add a record, unless there is one of this number already; return the one that is there."""
+        record = self._records.setdefault(number, record)
+        if len(self._records) > self._most:
+            self._forget()
+        return record
+
+    def _forget(self) -> None:
+        ended = {
+            number: end for number, one in self._records.items() if (end := _end(one)) is not None
+        }
+        ended.pop(self.last, None)
+        horizon = max(ended.values(), default=0.0) - self._memory.span
+        numbers = list(ended)
+        excess = set(numbers[: max(0, len(numbers) - self._memory.records + 1)])
+        excess.update(number for number, end in ended.items() if end < horizon)
+        self.begins = max([self.begins, *(ended[number] for number in excess)])
+        self._records = {
+            number: record for number, record in self._records.items() if number not in excess
+        }
+        self._most = len(self._records) + self._memory.records
+
+
+def _end(record: object) -> float | None:
+    end: float | None = (
+        record.time if isinstance(record, VetoAnswer) else getattr(record, "end", None)
+    )
+    return end
+
+
+class Records:
+    """All records. `apply` only assigns, so that it can be repeated after an interrupt.
+
+    Attributes:
+        requests, required: requested actions by number of the event, and the open ones by name.
+        plans, open_plans: reconfiguration plans by their number, and those that have not ended.
+        processes: by number of the event of the start.
+        attempts: commands by their serial number.
+        answers: answers about plans by number of the event.
+        last_end: when a request ended last [s], and the number of that event.
+        rejected: how many values of diagnostics could not be used.
+        progress: saved progress by action and behaviour; empty if it starts anew.
+    """
+
+    def __init__(self, memory: Memory) -> None:
+        self.requests = RecordTable[RequiredAction](memory)
+        self.required: dict[str, RequiredAction] = {}
+        self.plans = RecordTable[ReconfigurationPlan](memory)
         self.open_plans: dict[int, ReconfigurationPlan] = {}
-        self.processes: dict[int, Process] = {}  # by number of the event of the start
-        self.attempts: dict[int, Attempt] = {}
-        self.answers: dict[int, VetoAnswer] = {}  # by number of the event
-        self.ended: tuple[
-            str, ...
-        ] = ()  # why the latest requests ended since the last plan, in words
-        self.last_end: tuple[float, int] | None = (
-            None  # when a request ended last [s], and the number of that event
-        )
-        self.begins = -math.inf  # no record that ended after this time is forgotten [s]
-        self.rejected = 0  # how many readings of diagnostics could not be used
-        self.progress: dict[
-            tuple[str, str], str
-        ] = {}  # saved progress of actions; empty when they start anew
-        self._full = dict.fromkeys(
-            ("requests", "plans", "processes", "attempts", "answers"), 2 * memory.records
-        )
+        self.processes = RecordTable[Process](memory)
+        self.attempts = RecordTable[Attempt](memory)
+        self.answers = RecordTable[VetoAnswer](memory)
+        self.last_end: tuple[float, int] | None = None
+        self.rejected = 0
+        self.progress: dict[tuple[str, str], str] = {}
+        self._end_reasons: tuple[tuple[int, str], ...] = ()
+        self._serials: dict[int, int] = {}  # of the attempt of the newest such event
 
-    def put(self, name: str, number: int, record: Any) -> None:  # noqa: ANN401  # of the table of that name
-        """Add a record; if there are too many, the oldest records that have ended are forgotten."""
-        table: dict[int, Any] = getattr(self, name)
-        table[number] = record
-        if isinstance(record, RequiredAction) and record.end is None:
-            self.required.setdefault(record.action, record)
-        if isinstance(record, ReconfigurationPlan):
-            self.ended = ()
-            if record.end is None:
-                self.open_plans[number] = record
-        if len(table) > self._full[name]:
-            self._forget(name, table)
+    @property
+    def end_reasons(self) -> tuple[str, ...]:
+        """Why the latest requests ended since the last plan, in words."""
+        return tuple(words for _, words in self._end_reasons)
 
-    def _forget(self, name: str, table: dict[int, Any]) -> None:
-        ends = {
-            number: one.time if isinstance(one, VetoAnswer) else one.end
-            for number, one in table.items()
-        }
-        ended = [(number, end) for number, end in ends.items() if end is not None]
-        horizon = max((end for _, end in ended), default=0.0) - self._memory.span
-        old = [one for one in ended[: -self._memory.records] if one[0] != next(reversed(table))]
-        gone = dict(old + [one for one in ended[:-1] if one[1] < horizon])
-        self.begins = max(self.begins, *gone.values(), -math.inf)
-        setattr(self, name, {number: one for number, one in table.items() if number not in gone})
-        self._full[name] = len(table) - len(gone) + self._memory.records
+    @property
+    def begins(self) -> float:
+        """All records that ended after this time are here [s]."""
+        tables = (self.requests, self.plans, self.processes, self.attempts, self.answers)
+        return max(table.begins for table in tables)
 
-    def end_request(
-        self, record: RequiredAction, ended: tuple[str, ...], event: int, end: Mapping[str, Any]
+    def apply(self, event: "Event") -> None:
+        """Enter what an event says."""
+        if event.plan is not None:
+            self._add_plan(event.plan)
+        method = getattr(self, f"_apply_{event.verb}", None)
+        if method is not None:
+            method(event, *event.arguments)
+
+    def _add_plan(self, plan: ReconfigurationPlan) -> None:
+        if plan.number in self.plans:
+            return
+        if plan.end is None:
+            self.open_plans[plan.number] = plan
+        self._end_reasons = ()
+        self.plans.add(plan.number, plan)
+
+    def _apply_request_action(
+        self, event: "Event", name: str, preference: str | Mapping[str, float] | None
     ) -> None:
-        finish(record, end)
-        self.required.pop(record.action, None)
-        self.ended = ended
-        self.last_end = end["end"], event
+        if preference is not None and not isinstance(preference, str):
+            preference = MappingProxyType(dict(preference))
+        record = RequiredAction(
+            name, preference, event.time, cause=event.cause, number=event.number
+        )
+        self.required[name] = self.requests.add(event.number, record)
 
-    def end_plan(self, record: ReconfigurationPlan, result: str, end: float) -> None:
-        for other in [record, *(self.open_plans.values() if result == "completed" else ())]:
+    def _apply_cancel_action(self, event: "Event", name: str, result: str, reason: str) -> None:
+        record = self.required.get(name)
+        if record is None:
+            return
+        if reason and (not self._end_reasons or self._end_reasons[-1][0] < event.number):
+            words = f"{name} is {result}: {reason}"
+            self._end_reasons = (*self._end_reasons, (event.number, words))[-_MOST_END_REASONS:]
+        self.last_end = event.time, event.number
+        finish(record, {"result": result, "reason": reason, "end": event.time})
+        self.required.pop(name, None)
+
+    def _apply_finish_plan(self, event: "Event", number: int, result: str) -> None:
+        plan = self.plans.get(number)
+        ended = [plan] if plan is not None else []
+        if result == "completed":
+            ended += self.open_plans.values()
+        for other in ended:
             if other.end is None:
-                finish(other, {"result": result if other is record else "abandoned", "end": end})
+                end = result if other is plan else "abandoned"
+                finish(other, {"result": end, "end": event.time})
         self.open_plans = {
-            number: one for number, one in self.open_plans.items() if one.end is None
+            number: other for number, other in self.open_plans.items() if other.end is None
         }
+
+    def _apply_component_started(self, event: "Event", name: str, pid: int) -> None:
+        self.processes.add(event.number, Process(name, pid, event.time, number=event.number))
+
+    def _apply_component_ended(self, event: "Event", name: str, pid: int | None) -> None:
+        for process in self.running(name, pid):
+            finish(process, {"end": event.time})
+
+    def running(self, component: str, pid: int | None = None) -> list[Process]:
+        """Return the processes of a component that run: the one of this number, or all."""
+        return [
+            process
+            for process in self.processes.all()
+            if process.component == component and process.end is None and pid in (None, process.pid)
+        ]
+
+    def _apply_record_attempt(
+        self,
+        event: "Event",
+        plan: int,
+        component: str,
+        operation: str,
+        configuration: str | None,
+        parameters: Mapping[str, Any],
+        number: int,
+    ) -> None:
+        if event.number not in self._serials:
+            self._serials = {event.number: self.attempts.last + 1}
+        serial = self._serials[event.number]
+        of = self.plans.get(plan)
+        if of is None:
+            return  # it was forgotten
+        values = MappingProxyType(dict(parameters))
+        attempt = Attempt(
+            of, component, operation, configuration, values, number, event.time, serial=serial
+        )
+        self.attempts.add(serial, attempt)
+
+    def _apply_finish_attempt(self, event: "Event", serial: int, result: str, reason: str) -> None:
+        attempt = self.attempts.get(serial)
+        if attempt is not None:
+            finish(attempt, {"result": result, "reason": reason, "end": event.time})
+
+    def _apply_record_answer(self, event: "Event", plan: int, is_vetoed: bool, reason: str) -> None:
+        of = self.plans.get(plan)
+        if of is not None:
+            self.answers.add(event.number, VetoAnswer(of, event.time, is_vetoed, reason))
+
+    def _apply_progress(self, event: "Event", action: str, behaviour: str, saved: str) -> None:
+        self.progress[action, behaviour] = saved
 
     def begin(
         self, fact: RequiredActionFact | PlanFact | ProcessFact, number: int, now: float
     ) -> None:
-        """Add a record that a model states; a missing start is the end, or now [s] if that is missing too."""
-        start = fact.start if fact.start is not None else fact.end if fact.end is not None else now
+        """Add a record that a model states; a missing start is the end, or else now [s]."""
+        start = fact.start
+        if start is None:
+            start = now if fact.end is None else fact.end
         if isinstance(fact, ProcessFact):
-            self.put(
-                "processes", number, Process(fact.component, fact.pid, start, fact.end, number)
-            )
+            process = Process(fact.component, fact.pid, start, fact.end, number)
+            self.processes.add(number, process)
             return
         end = start if fact.end is None and fact.result is not None else fact.end
         if isinstance(fact, PlanFact):
-            steps, reason = (fact.activate, fact.deactivate, fact.parameters), "stated by the model"
-            number = next(reversed(self.plans), 0) + 1
-            self.put(
-                "plans",
-                number,
-                ReconfigurationPlan(*steps, reason, start, end, fact.result, number=number),
+            plan = ReconfigurationPlan(
+                fact.activate,
+                fact.deactivate,
+                fact.parameters,
+                "stated by the model",
+                start,
+                end,
+                fact.result,
+                number=self.plans.last + 1,
             )
+            self._add_plan(plan)
             return
-        weights = fact.preference
-        preference: str | Mapping[str, float] | None = (
-            MappingProxyType(dict(weights)) if weights else None
-        )
-        if weights and list(weights.values()) == [1.0]:
-            (preference,) = weights
-        self.put(
-            "requests",
-            number,
-            RequiredAction(fact.action, preference, start, end, fact.result, number=number),
-        )
+        preference: str | Mapping[str, float] | None = None
+        if fact.preference:
+            preference = MappingProxyType(dict(fact.preference))
+            if list(fact.preference.values()) == [1.0]:
+                (preference,) = fact.preference
+        record = RequiredAction(fact.action, preference, start, end, fact.result, number=number)
+        self.requests.add(number, record)
+        if end is None:
+            self.required.setdefault(fact.action, record)
 
     def plan_of(self, plan: object) -> ReconfigurationPlan:
         """Return a plan of these records, given by itself or by its number."""
         number = plan.number if isinstance(plan, ReconfigurationPlan) else plan
-        found = self.plans.get(number) if type(number) is int else None
-        if found is not None and plan in (found, number):
-            return found
-        numbers = (
-            f"{next(iter(self.plans))} to {next(reversed(self.plans))}"
-            if self.plans
-            else "none yet"
-        )
+        own = self.plans.get(number) if type(number) is int else None
+        if own is not None and plan in (own, number):
+            return own
+        numbers = f"{self.plans.first} to {self.plans.last}" if self.plans.last else "none yet"
         raise InvalidValue(
-            f"{plan!r} is not a plan of this knowledge base; give one of kb.plans (numbers: {numbers})"
+            f"{plan!r} is not a plan of this knowledge base; give one of kb.plans "
+            f"(numbers: {numbers})"
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return all records as values that JSON can hold, without attempts and answers about forgotten plans."""
-        known = {id(plan) for plan in self.plans.values()}
+        """Return all records as values that JSON can hold."""
+        held = {id(plan) for plan in self.plans.all()}
+        answers = [
+            (number, answer) for number, answer in self.answers.items() if id(answer.plan) in held
+        ]
         return {
-            **{
-                name: list(map(_written, getattr(self, name).values()))
-                for name in ("requests", "plans", "processes")
-            },
-            "attempts": [_written(one) for one in self.attempts.values() if id(one.plan) in known],
-            "answers": [
-                [number, _written(one)]
-                for number, one in self.answers.items()
-                if id(one.plan) in known
+            "requests": [_written(record) for record in self.requests.all()],
+            "plans": [_written(record) for record in self.plans.all()],
+            "processes": [_written(record) for record in self.processes.all()],
+            "attempts": [
+                _written(record) for record in self.attempts.all() if id(record.plan) in held
             ],
-            "ended": self.ended,
+            "answers": [[number, _written(answer)] for number, answer in answers],
+            "end_reasons": self._end_reasons,
             "last_end": self.last_end,
+            "rejected": self.rejected,
             "progress": [[*key, saved] for key, saved in self.progress.items()],
         }
 
     def from_json(self, written: Mapping[str, Any]) -> None:
         """Restore the records that `to_json` returned."""
-        for name, cls in (("requests", RequiredAction), ("processes", Process)):
-            for values in written[name]:
-                self.put(name, values["number"], cls(**values))
+        for values in written["requests"]:
+            request = RequiredAction(**values)
+            self.requests.add(request.number, request)
+            if request.end is None:
+                self.required[request.action] = request
+        for values in written["processes"]:
+            process = Process(**values)
+            self.processes.add(process.number, process)
         for values in written["plans"]:
-            tuples = {
-                name: tuple(values[name]) for name in ("activate", "deactivate", "parameters")
-            }
-            made = ReconfigurationPlan(**{**values, **tuples, "plain": frozenset(values["plain"])})
-            self.put("plans", made.number, made)
+            for name in ("activate", "deactivate", "parameters"):
+                values[name] = tuple(values[name])
+            values["plain"] = frozenset(values["plain"])
+            self._add_plan(ReconfigurationPlan(**values))
         for values in written["attempts"]:
-            self.put(
-                "attempts",
-                values["serial"],
-                Attempt(**{**values, "plan": self.plans[values["plan"]]}),
-            )
+            attempt = Attempt(**{**values, "plan": self.plans.get(values["plan"])})
+            self.attempts.add(attempt.serial, attempt)
         for number, values in written["answers"]:
-            self.put(
-                "answers", number, VetoAnswer(**{**values, "plan": self.plans[values["plan"]]})
-            )
-        self.progress = {
-            (action, behaviour): saved for action, behaviour, saved in written.get("progress", ())
-        }
-        self.ended = tuple(written["ended"])
-        last_end = written["last_end"]
-        self.last_end = None if last_end is None else (last_end[0], last_end[1])
-
-
-class _Kept(Generic[T]):
-    """A property that gives the records of one table, in order."""
-
-    def __init__(self, table: str) -> None:
-        self._table = table
-
-    def __get__(self, view: "HistoryView", _: type) -> tuple[T, ...]:
-        with view.reading():
-            return tuple(getattr(view.records, self._table).values())
+            answer = VetoAnswer(**{**values, "plan": self.plans.get(values["plan"])})
+            self.answers.add(number, answer)
+        self._end_reasons = tuple((number, words) for number, words in written["end_reasons"])
+        if written["last_end"] is not None:
+            time, number = written["last_end"]
+            self.last_end = time, number
+        self.rejected = written["rejected"]
+        for action, behaviour, saved in written["progress"]:
+            self.progress[action, behaviour] = saved
 
 
 class HistoryView:
-    """The records that are needed less often; old ones that have ended may be forgotten, see `Memory`.
-
-    Attributes:
-        actions: the actions that are or were required, in the order of the requests.
-        open_plans: the plans that have not ended, in the order in which they were made.
-        attempts: the commands that were given, in order, each with its result.
-        answers: the answers to whether a plan may be executed, in order.
-    """
+    """The records that are needed less often; old ones that have ended may be forgotten."""
 
     __slots__ = ("reading", "records")
-
-    actions = _Kept[RequiredAction]("requests")
-    open_plans = _Kept[ReconfigurationPlan]("open_plans")
-    attempts = _Kept[Attempt]("attempts")
-    answers = _Kept[VetoAnswer]("answers")
 
     def __init__(
         self, records: Records, reading: Callable[[], AbstractContextManager[object]]
     ) -> None:
-        self.records, self.reading = records, reading
+        self.records = records
+        self.reading = reading
+
+    @property
+    def actions(self) -> tuple[RequiredAction, ...]:
+        """The actions that are or were required, in the order of the requests."""
+        with self.reading():
+            return self.records.requests.all()
+
+    @property
+    def open_plans(self) -> tuple[ReconfigurationPlan, ...]:
+        """The plans that have not ended, in the order in which they were made."""
+        with self.reading():
+            return tuple(self.records.open_plans.values())
+
+    @property
+    def attempts(self) -> tuple[Attempt, ...]:
+        """The commands that were given, in order, each with its result."""
+        with self.reading():
+            return self.records.attempts.all()
+
+    @property
+    def answers(self) -> tuple[VetoAnswer, ...]:
+        """The answers to whether a plan may be executed, in order."""
+        with self.reading():
+            return self.records.answers.all()
 
     @property
     def begins(self) -> float:

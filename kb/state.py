@@ -1,31 +1,27 @@
-"""The facts of one moment and what is inferred from them, as arrays over a network; and layers for "what if" on top.
+"""The facts of one moment, and the statuses that follow from them. A copy is a situation.
 
-A layer holds only its own changes and reads all else from the state below, so nothing is copied. While an event changes
-the state itself, the old values are kept, so that they can be restored until the event is in.
-
-After a fact changes, only the elements that depend on it are inferred again. Inference has two directions. "Required"
-goes down: from an action to its functions, from a selected design to its components. Status goes up, level by level:
-constraint, configuration, component, design, function, action. While a function or component stays possible, or
-impossible, only its users (required actions, selected designs) are inferred.
+`State.apply` takes an event and only assigns, so that it can be repeated after an interrupt. After
+a fact changes, only the nodes that depend on it are inferred again, from the lowest level up:
+constraint, configuration, component, design, function, action.
 """
 
 import math
 from array import array
+from base64 import b64decode, b64encode
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Mapping
-from operator import attrgetter
-from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
+from collections.abc import Iterable, Mapping
+from copy import copy
+from dataclasses import fields
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
 
-from kb.elements import Constraint, Parameters, StalePolicy
-from kb.events import StatusChange
+from kb.debounce import NEVER, Debounced, judge, policy_status, silence
+from kb.elements import Parameters
+from kb.events import Event, StatusChange
 from kb.exceptions import InvalidValue
-from kb.network import LEVELS, Network, Node
+from kb.network import LEVELS, Network, Node, Ref, is_debounced
 from kb.records import Memory
 from kb.status import (
-    ERROR,
-    IMPOSSIBLE,
-    SOLVED,
-    UNSOLVED,
     Status,
     action_status,
     component_status,
@@ -35,16 +31,11 @@ from kb.status import (
     function_status,
 )
 
-T = TypeVar("T")
-
-_INDEX = attrgetter("index")
-
-
-class Array(Protocol[T]):
-    """One value for each node, by `Node.index`."""
-
-    def __getitem__(self, index: int, /) -> T: ...
-    def __setitem__(self, index: int, value: T, /) -> None: ...
+_ATTRIBUTE: Final = LEVELS["attribute"]
+_CHOSEN: Final = ("configuration", "component", "function design")
+FLAGS: Final = ("stale", "failed", "active", "selected", "requested", "asserted_required")
+"""The facts that are sets of nodes."""
+_VALUES: Final = ("value", "time", "asserted", "votes")
 
 
 class Reason(NamedTuple):
@@ -54,487 +45,627 @@ class Reason(NamedTuple):
     until: float | None = None
 
     def __str__(self) -> str:
-        """Return the words that follow a statement: the time it ends, and the reason in brackets."""
-        lapse = (
-            "" if self.until is None else f" until {f'{self.until:.3f}'.rstrip('0').rstrip('.')} s"
-        )
-        return f"{lapse} ({self.text})" if self.text else lapse
+        """Return the words that follow a statement: the end in time, and the reason in brackets."""
+        words = f" ({self.text})" if self.text else ""
+        if self.until is None:
+            return words
+        return f" until {f'{self.until:.3f}'.rstrip('0').rstrip('.')} s{words}"
 
 
-_UNSAID: Final = Reason()
-
-
-class _Layer(dict[Any, T], Generic[T]):
-    """An array on top of another one, with a few entries replaced."""
-
-    __slots__ = ("_below",)
-
-    def __init__(self, below: Any) -> None:  # noqa: ANN401  # what can be indexed
-        self._below = below
-
-    def __missing__(self, index: Any) -> T:  # noqa: ANN401  # as what is below has
-        found: T = self._below[index]
-        return found
-
-
-class Marked:
-    """A set of nodes; `marked[node] = True` adds a node and `False` removes it."""
-
-    __slots__ = ("own",)
-
-    def __init__(self) -> None:
-        self.own: dict[Node, bool] = {}
-
-    def __setitem__(self, node: Node, yes: bool) -> None:
-        own = self.own
-        if yes:
-            own[node] = True
-        elif own.pop(node, False) and own.__sizeof__() > 1000 * len(own) + 1000:
-            self.own = dict(own)  # a dict never shrinks, and iteration visits its empty places too
-
-    def __bool__(self) -> bool:
-        return bool(self.own)
-
-    def __iter__(self) -> Iterator[Node]:
-        return iter(self.own)
-
-    def nodes(self) -> list[Node]:
-        return sorted(self, key=_INDEX)
-
-    def clear(self) -> None:
-        self.own.clear()
-
-
-class _Supposed(Marked):
-    """A set on top of another one: its own entries replace those below."""
-
-    __slots__ = ("_below",)
-
-    def __init__(self, below: Marked) -> None:
-        self.own, self._below = {}, below
-
-    def __bool__(self) -> bool:
-        own = self.own
-        return any(own.values()) or (
-            any(node not in own for node in self._below) if own else bool(self._below)
-        )
-
-    def __iter__(self) -> Iterator[Node]:
-        own = self.own
-        below = [node for node in self._below if node not in own] if own else self._below
-        return iter([*(node for node, yes in own.items() if yes), *below])
-
-
-_NOBODY: Final = Marked()
-
-
-class Users(dict[int, Marked]):
-    """The users of each node: for a function the required actions, for a component the selected designs."""
-
-    __slots__ = ("_below",)
-
-    def __init__(self, below: "Users | None" = None) -> None:
-        self._below = below
-
-    def __missing__(self, index: int) -> Marked:
-        return _NOBODY if self._below is None else self._below[index]
-
-    def of(self, index: int) -> Marked:
-        found = self.get(index)
-        if found is None:
-            found = self[index] = (
-                Marked() if self._below is None else _Supposed(self._below.of(index))
-            )
-        return found
+NO_REASON: Final = Reason()
 
 
 class History:
-    """The newest measurements of one attribute, in order of time, 16 bytes each; at most twice as many as asked for.
+    """The newest measurements of one attribute, in order of time, 24 bytes each.
 
-    Times and values are in one array, so that a measurement is added as a whole or not at all.
+    Time, value and number of the event are added in one step, so that a measurement is there as a
+    whole or not at all. At most twice as many are held as the memory asks for.
     """
 
-    __slots__ = ("_memory", "begins", "many", "pairs")
-
-    def __init__(self, memory: Memory, packed: bytes = b"", begins: float | None = None) -> None:
-        self._memory, self.pairs = memory, array("d", packed)
-        self.begins = (
-            -math.inf if begins is None else begins
-        )  # all measurements from this time on are held [s]
-        self.many = (
-            4 * memory.measurements if memory.span == math.inf else 2
-        )  # `forget` is called from this length on
+    def __init__(self, memory: Memory, packed: bytes = b"", begins: float = -math.inf) -> None:
+        self._memory = memory
+        self._rows = array("d", packed)
+        self.begins = begins  # all measurements from this time on are held [s]
 
     def __len__(self) -> int:
-        return len(self.pairs) // 2
+        return len(self._rows) // 3
 
-    def add(self, time: float, value: float, count: int) -> None:
-        """Add a measurement if `pairs` still holds `count` numbers; if it holds more, it was added already."""
-        pairs, new = self.pairs, array("d", (time, value))
-        place = 2 * self._place(time) if count and time < pairs[-2] else count
-        if len(pairs) == count:
-            pairs[place:place] = new
+    def add(self, time: float, value: float, number: int) -> None:
+        """Add a measurement, unless the one of this event was added already."""
+        rows = self._rows
+        if rows and rows[-1] >= number:
+            return
+        rows.extend((time, value, number))
+        if len(rows) >= 6 * self._memory.measurements or rows[0] < time - 2 * self._memory.span:
+            self._forget(time)
 
-    def forget(self) -> None:
-        """Forget what exceeds the memory in number or age, but only if that is much."""
-        pairs, memory = self.pairs, self._memory
-        most = 2 * memory.measurements
-        if pairs and (len(pairs) >= 2 * most or pairs[0] < pairs[-2] - 2 * memory.span):
-            excess = min(
-                max(len(pairs) - most, 2 * self._place(pairs[-2] - memory.span)), len(pairs) - 2
-            )
-            self.begins = max(self.begins, pairs[excess])
-            del pairs[:excess]
+    def _forget(self, now: float) -> None:
+        oldest = self._place(now - self._memory.span)
+        excess = min(max(len(self) - self._memory.measurements, oldest), len(self) - 1)
+        if excess > 0:
+            self.begins = max(self.begins, self._rows[3 * excess])
+            self._rows = self._rows[3 * excess :]
 
     def at(self, time: float) -> float | None:
-        """Return the value that was the latest at a time [s], or None before the first."""
+        """Return the value that was the latest at a time [s]; None before the first."""
         place = self._place(time)
         if not place and time < self.begins:
             raise InvalidValue(
                 f"what was measured by {time!r} s is forgotten; memory begins at {self.begins!r} s"
             )
-        return self.pairs[2 * place - 1] if place else None
+        return self._rows[3 * place - 2] if place else None
 
     def samples(self, most: int | None = None) -> tuple[tuple[float, float], ...]:
         """Return all measurements, or the newest `most` of them, as (time [s], value)."""
-        pairs = self.pairs if most is None else self.pairs[-2 * most :]
-        return tuple(zip(pairs[::2], pairs[1::2], strict=True))
+        rows = self._rows if most is None else self._rows[-3 * most :]
+        return tuple(zip(rows[::3], rows[1::3], strict=True))
 
-    def packed(self, most: int) -> bytes:
-        return self.pairs[-2 * most :].tobytes()
-
-    def begins_within(self, most: int) -> float | None:
-        """Return what `begins` would be for the newest `most` measurements; None if nothing is forgotten."""
-        begins = self.begins if len(self) <= most else self.pairs[-2 * most]
-        return None if begins == -math.inf else begins
+    def packed(self, most: int) -> tuple[bytes, float]:
+        """Return the newest measurements as bytes, and from when on all are there [s]."""
+        begins = self.begins if len(self) <= most else self._rows[-3 * most]
+        return self._rows[-3 * most :].tobytes(), begins
 
     def _place(self, time: float) -> int:
-        return bisect_right(range(len(self)), time, key=lambda place: self.pairs[2 * place])
-
-
-_VALUES: Final = ("value", "time", "verdict", "asserted")
-_FLAGS: Final = ("stale", "failed", "active", "selected", "requested", "asserted_required")
-FACTS: Final[Mapping[str, object]] = {**dict.fromkeys(_VALUES), **dict.fromkeys(_FLAGS, False)}
-"""The arrays of base facts, each with the value that means "nothing is known"."""
-
-_INFERRED: Final[Mapping[str, object]] = {"required": False, "served": 0, "status": Status.FEASIBLE}
-
-UNSET: Final[Mapping[str, Status]] = {
-    **dict.fromkeys(LEVELS, Status.FEASIBLE),
-    "constraint": Status.NOT_EVALUATED,
-}
-"""The status of an element of each kind while no fact about it is known."""
-
-
-class _Said(dict[tuple[str, int], Reason]):
-    def __missing__(self, key: tuple[str, int]) -> Reason:
-        return _UNSAID
+        return bisect_right(range(len(self)), time, key=lambda place: self._rows[3 * place])
 
 
 class State:
-    """Base facts and what is inferred from them; every array is indexed by `Node.index`.
+    """Facts, and the statuses inferred from them.
 
     Attributes:
-        kept: the old values, as (array, key, value) in the order of changes; None while no event changes the state.
+        value: the latest measurement of each attribute that has one.
+        time: when it was measured [s]; missing for what is only supposed.
+        stale: attributes whose latest measurement is too old.
+        failed, active: components that were reported so.
+        selected: designs and configurations that are chosen.
+        requested: actions with an open request.
+        asserted: statuses that stand in place of inferred ones.
+        asserted_required: nodes stated to be required, whatever is inferred.
+        debounced: what is remembered of each debounced constraint.
+        votes: the newest measurements that count, of each attribute with debounced constraints:
+            (number of the event, value).
+        parameters: those last set on each component, by its name.
+        histories: the measurements of each attribute; shared by all copies.
+        status: the status of every node but attributes.
+        adaptable: functions and components that need a choice, or may get a better one.
     """
 
-    kept: list[tuple[Any, Any, Any]] | None = None
-
-    value: Array[float | None]  # the latest measurement of an attribute
-    time: Array[float | None]  # when that was measured [s]
-    stale: Array[bool]  # an attribute's latest measurement is too old
-    verdict: Array[
-        Status | None
-    ]  # the status of a constraint with debouncing, from all measurements
-    failed: Array[bool]  # a component was reported as failed
-    active: Array[bool]  # a component is running
-    selected: Array[bool]  # a design or configuration is chosen
-    requested: Array[bool]  # an action has an open request
-    asserted: Array[Status | None]  # a status that replaces the inferred one
-    asserted_required: Array[bool]  # stated to be required, whatever is inferred
-    required: Array[
-        bool
-    ]  # inferred: a requested action, a function of one, a component of a selected design
-    served: Array[
-        int
-    ]  # inferred: how many designs, selected or not, of required functions a component is in
-    status: Array[Status]  # inferred: exactly one for each element
-
-    def __init__(self, network: Network) -> None:
+    def __init__(self, network: Network, memory: Memory | None = None) -> None:
         self.network = network
-        self.columns: dict[str, Any] = {name: [] for name in (*FACTS, *_INFERRED)}
-        for name, column in self.columns.items():
-            setattr(self, name, column)
-        self.reasons: dict[tuple[str, int], Reason] = (
-            _Said()
-        )  # of a fact, by name of its array and index of the node
-        self.parameters: dict[str, Parameters] = {}  # those last set on each component, by its name
-        self.histories: dict[int, History] = {}
-        self.users = Users()
-        self.adaptable = (
-            Marked()
-        )  # functions and components that need a choice, or may get a better one
-        self.obsolete = Marked()  # active or selected, but for no required function
-        self.lacking = Marked()  # the required components that are not active
-        self.visited = 0  # how many nodes inference has visited so far
-        self.version = (
-            0  # number of the last event that changed more here than a value and its time
+        self.memory = memory or Memory()
+        self.value: dict[Node, float] = {}
+        self.time: dict[Node, float] = {}
+        self.stale: set[Node] = set()
+        self.failed: set[Node] = set()
+        self.active: set[Node] = set()
+        self.selected: set[Node] = set()
+        self.requested: set[Node] = set()
+        self.asserted: dict[Node, Status] = {}
+        self.asserted_required: set[Node] = set()
+        self.debounced: dict[Node, Debounced] = {}
+        self.votes: dict[Node, tuple[tuple[int, float], ...]] = {}
+        self.reasons: dict[tuple[str, Node], Reason] = {}
+        self.parameters: dict[str, Parameters] = {}
+        self.histories: dict[Node, History] = {}
+        self.status: dict[Node, Status] = {}
+        self.adaptable: set[Node] = set()
+        self._required: set[Node] = set()  # functions
+        self._obsolete: set[Node] = set()
+        self._inactive_required: set[Node] = set()
+        self._outdated: list[set[Node]] = [set() for _ in range(_ATTRIBUTE)]
+        self._unmarked: set[Node] = set()  # whether they are obsolete is to be found out again
+        self._before: dict[Node, Status] = {}  # of the event that is being applied
+        self.touch(network.present())
+        self.infer()
+        self._before.clear()
+
+    def copy(self) -> "State":
+        """Return a copy to suppose other facts in."""
+        other = State.__new__(State)
+        for name, content in vars(self).items():
+            is_copied = isinstance(content, dict | set)
+            vars(other)[name] = copy(content) if is_copied else content
+        other._outdated = [set() for _ in range(_ATTRIBUTE)]
+        return other
+
+    # ---------------------------------------------------------------- asked
+
+    def is_required(self, node: Node) -> bool:
+        """Return whether an action, function or component is needed for what is requested."""
+        if node in self.asserted_required:
+            return True
+        if node.kind == "action":
+            return node in self.requested
+        if node.kind == "function":
+            return any(map(self.is_required, node.used_by))
+        return node.kind == "component" and not self.selected.isdisjoint(node.used_by)
+
+    def users(self, node: Node) -> list[Node]:
+        """Return the required actions of a function, or the selected designs of a component."""
+        if node.kind == "function":
+            return [action for action in node.used_by if self.is_required(action)]
+        return [design for design in node.used_by if design in self.selected]
+
+    def inactive_required(self) -> list[Node]:
+        """Return the required components that are not active, in order of declaration."""
+        return in_order(self._inactive_required)
+
+    def verdict(self, node: Node) -> Status | None:
+        """Return the status of a debounced constraint by its measurements; None for another one."""
+        debounced = self.debounced.get(node)
+        return None if debounced is None else debounced.status
+
+    def reason(self, fact: str, node: Node) -> Reason:
+        """Return the reason that was given with a fact, such as "failed" or "selected"."""
+        return self.reasons.get((fact, node), NO_REASON)
+
+    def obsolete(self) -> list[Node]:
+        """Return what is active or selected for no required function, in order of declaration."""
+        return in_order(self._obsolete)
+
+    def serves(self, component: Node) -> bool:
+        """Return whether a design of a required function, selected or not, has this component."""
+        return any(design.used_by[0] in self._required for design in component.used_by)
+
+    # ---------------------------------------------------------------- events
+
+    def apply(self, event: Event) -> None:
+        """Change the facts as an event says, and infer what follows; it can be repeated."""
+        method = getattr(self, f"_apply_{event.verb}", None)
+        if method is not None:
+            method(event, *event.arguments)
+            self.infer()
+
+    def changes(self) -> tuple[StatusChange, ...]:
+        """Return how statuses changed since `forget_changes`, from the lowest level up."""
+        nodes = sorted(self._before, key=lambda node: (node.level, node.index))
+        return tuple(
+            StatusChange(node.kind, node.name, self._before[node], self.status[node])
+            for node in nodes
+            if self.status.get(node, self._before[node]) is not self._before[node]
         )
-        self.grow()
 
-    @property
-    def marks(self) -> "tuple[Users | Marked, ...]":
-        """All sets of nodes that are inferred."""
-        return self.users, self.adaptable, self.obsolete, self.lacking
+    def changed_nodes(self) -> list[Node]:
+        """Return the nodes of `changes`."""
+        return [
+            node
+            for node, before in self._before.items()
+            if self.status.get(node, before) is not before
+        ]
 
-    def grow(self) -> None:
-        for name, value in {**FACTS, **_INFERRED}.items():
-            new = self.network.nodes[len(self.columns[name]) :]
-            self.columns[name] += (
-                [UNSET[node.kind] for node in new] if name == "status" else [value] * len(new)
-            )
+    def forget_changes(self) -> None:
+        """Begin to collect changes anew."""
+        self._before = {}
 
-    def forget(self, node: Node) -> None:
-        """Forget all facts about a node."""
-        for name, unset in FACTS.items():
-            self.columns[name][node.index] = unset
-        self.histories.pop(node.index, None)
-        for key in [key for key in self.reasons if key[1] == node.index]:
-            del self.reasons[key]
+    def _apply_measure(self, event: Event, name: str, value: float) -> None:
+        self.set_measurement(self.network.attributes[name], value, event.time, event.number)
 
-    def reason(self, column: str, node: Node) -> Reason:
-        return self.reasons[column, node.index]
+    def set_measurement(self, node: Node, value: float, time: float, number: int) -> None:
+        """Make a measurement the latest one, and touch the constraints whose status may differ."""
+        before = self.value.get(node)
+        thresholds = self.network.thresholds(node)
+        if before is None or node in self.stale:
+            self.touch(node.constraints)
+        elif value != before:
+            self.touch(thresholds.crossed(before, value))
+        history = self.histories.get(node)
+        if history is None:
+            history = self.histories[node] = History(self.memory)
+        self.value[node] = value
+        self.time[node] = time
+        self.stale.discard(node)
+        if thresholds.debounced:
+            self._vote(node, value, number, time)
+        history.add(time, value, number)
+
+    def remember(self, node: Node, value: float, time: float, number: int) -> None:
+        """Add an earlier measurement to the history only."""
+        self.histories.setdefault(node, History(self.memory)).add(time, value, number)
+
+    def _vote(self, node: Node, value: float, number: int, now: float) -> None:
+        votes = self.votes.get(node, ())
+        if not votes or votes[-1][0] < number:
+            votes = (*votes, (number, value))[-node.attribute.agreement[1] :]
+        self.votes[node] = votes
+        for constraint in self.network.thresholds(node).debounced:
+            self.judge(constraint, now)
+
+    def judge(self, constraint: Node, now: float) -> float:
+        """Judge a debounced constraint; return when to judge again if nothing is measured [s]."""
+        values = tuple(value for _, value in self.votes.get(constraint.requires[0], ()))
+        if not values:
+            return NEVER
+        before = self.debounced.get(constraint, Debounced())
+        after, again = judge(constraint, before, values, now)
+        if after is not before or constraint not in self.debounced:
+            self.touch([constraint])
+            self.debounced[constraint] = after
+        return again
+
+    def _apply_stale(self, event: Event, name: str) -> None:
+        node = self.network.attributes[name]
+        self.touch(node.constraints)
+        self.stale.add(node)
+        self.votes.pop(node, None)
+        for constraint in self.network.thresholds(node).debounced:
+            self.debounced[constraint] = silence(node.attribute.when_stale, event.time)
+
+    def _apply_dwell(self, event: Event, ref: Ref) -> None:
+        node = self.network.referred(ref)
+        self.judge(node, event.time)
+
+    def _apply_component_failed(self, event: Event, name: str, reason: str) -> None:
+        self._set_flag("failed", self.network.components[name], True, reason)
+
+    def _apply_component_recovered(self, event: Event, name: str) -> None:
+        node = self.network.components[name]
+        if self.asserted.get(node) is Status.FAILURE:
+            self._assert(node, None)
+        self._set_flag("failed", node, False)
+
+    def _apply_component_active(self, event: Event, name: str, active: bool, reason: str) -> None:
+        node = self.network.components[name]
+        self._set_flag("active", node, active, "" if active else reason)
+
+    def _apply_component_configured(
+        self, event: Event, name: str, parameters: Mapping[str, Any]
+    ) -> None:
+        self.parameters[name] = MappingProxyType(dict(parameters))
+
+    def _apply_assert_status(
+        self, event: Event, ref: Ref, status: str, reason: str, until: float | None
+    ) -> None:
+        self._assert(self.network.referred(ref), Status(status), reason, until)
+
+    def _apply_retract_status(self, event: Event, ref: Ref) -> None:
+        self._assert(self.network.referred(ref), None)
+
+    def _apply_lapse(self, event: Event, ref: Ref, status: str) -> None:
+        self._assert(self.network.referred(ref), None)
+
+    def _assert(
+        self, node: Node, status: Status | None, reason: str = "", until: float | None = None
+    ) -> None:
+        self.touch([node])
+        if status is None:
+            self.asserted.pop(node, None)
+        else:
+            self.asserted[node] = status
+        self.give_reason("asserted", node, reason, until)
+
+    def _apply_assert_required(self, event: Event, ref: Ref, required: bool | None) -> None:
+        self._set_flag("asserted_required", self.network.referred(ref), bool(required))
+
+    def _apply_assert_selected(
+        self, event: Event, ref: Ref, selected: bool | None, reason: str
+    ) -> None:
+        node = self.network.referred(ref)
+        self._set_flag("selected", node, bool(selected), reason if selected else "")
+        owner = node.used_by[0]
+        is_without = self.selected.isdisjoint(owner.requires)
+        self.give_reason("unselected", owner, reason if is_without else "")
+
+    def _apply_request_action(self, event: Event, name: str, preference: object) -> None:
+        self._set_flag("requested", self.network.actions[name], True)
+
+    def _apply_cancel_action(self, event: Event, name: str, result: str, reason: str) -> None:
+        self._set_flag("requested", self.network.actions[name], False)
+
+    def _apply_select(
+        self,
+        event: Event,
+        designs: Mapping[str, str],
+        configurations: Mapping[str, str],
+        reason: str,
+    ) -> None:
+        network = self.network
+        chosen = [network.designs[name] for name in designs.values()]
+        chosen += [network.configurations[name] for name in configurations.values()]
+        flipped = [network.kinds[kind][name] for kind, name, _ in event.effects]
+        for node, (_, _, is_selected) in zip(flipped, event.effects, strict=True):
+            self.touch([node])
+            (self.selected.add if is_selected else self.selected.discard)(node)
+        for node in (*flipped, *chosen):
+            self.give_reason("selected", node, reason if node in self.selected else "")
+            self.give_reason("unselected", node.used_by[0])
+
+    def _apply_note_no_choice(self, event: Event, reason: str) -> None:
+        """Give the reason to all that is required and cannot be chosen for."""
+        concerned: set[Node] = set()
+        if reason:
+            functions = [one for one in self.network.functions.values() if self.is_required(one)]
+            concerned.update(functions)
+            for function in functions:
+                for design in function.requires:
+                    concerned.update(design.requires)
+        for node in (*self.network.functions.values(), *self.network.components.values()):
+            self.give_reason("selected", node, reason if node in concerned else "")
+
+    def _set_flag(self, fact: str, node: Node, is_so: bool, reason: str = "") -> None:
+        self.touch([node])
+        nodes: set[Node] = vars(self)[fact]
+        (nodes.add if is_so else nodes.discard)(node)
+        self.give_reason(fact, node, reason)
 
     def give_reason(
-        self, column: str, node: Node, text: str = "", until: float | None = None
+        self, fact: str, node: Node, text: str = "", until: float | None = None
     ) -> None:
-        key, reason = (
-            (column, node.index),
-            Reason(text, until) if text or until is not None else _UNSAID,
-        )
-        if self.reasons[key] != reason:
-            self.put(self.reasons, key, reason)
+        """Keep the reason of a fact; an empty one takes it back."""
+        if text or until is not None:
+            self.reasons[fact, node] = Reason(text, until)
+        else:
+            self.reasons.pop((fact, node), None)
 
-    def put(self, changed: Any, key: Any, value: object) -> None:  # noqa: ANN401  # each of ours
-        """Change an entry; while old values are kept, `undo` restores the old one."""
-        kept = self.kept
-        if kept is not None:
-            kept.append((changed, key, changed[key]))
-        changed[key] = value
+    def hold(self, constraint: Node, status: Status) -> None:
+        """Give a constraint a status that its measurements do not say, as a forecast does."""
+        self.touch([constraint])
+        self.debounced[constraint] = Debounced(status)
 
-    def mark(self, marked: Marked, node: Node, yes: bool) -> None:
-        """Add a node to a set, or remove it; `undo` reverses that."""
-        own, kept = marked.own, self.kept
-        if (node in own) != yes:
-            if kept is not None:
-                kept.append((marked, node, not yes))
-            if yes:
-                own[node] = True
-            else:
-                marked[node] = False
+    def release(self, constraint: Node) -> None:
+        """Let a constraint follow from its measurements again."""
+        self.touch([constraint])
+        self.debounced.pop(constraint, None)
 
-    def undo(self) -> None:
-        """Restore all old values that are kept; it can be called again after an interrupt."""
-        for changed, key, value in reversed(self.kept or ()):
-            changed[key] = value
-        self.kept = None
+    # ---------------------------------------------------------------- inference
 
-
-class Overlay(State):
-    """A state on top of another: changes made here do not change the state below."""
-
-    def __init__(self, below: State) -> None:
-        self.network = below.network
-        self.columns = {name: _Layer(column) for name, column in below.columns.items()}
-        self.__dict__.update(self.columns)
-        self.reasons = _Layer(below.reasons)
-        self.parameters = below.parameters
-        self.histories = below.histories
-        self.users, self.adaptable = Users(below.users), _Supposed(below.adaptable)
-        self.obsolete, self.lacking = _Supposed(below.obsolete), _Supposed(below.lacking)
-        self.visited = 0
-        self.version = below.version
-
-    def mark(self, marked: Marked, node: Node, yes: bool) -> None:
-        marked.own[node] = yes
-
-    def changed(self) -> Iterable[int]:
-        """Return the indices of the nodes whose status was changed in this layer."""
-        assert isinstance(self.status, _Layer)
-        return self.status
-
-
-# -------------------------------------------------------------------- inference
-
-Agenda = list[dict[Node, None]]
-
-_TOP: Final = LEVELS["attribute"]
-_NEW: Final = tuple.__new__  # quicker than the constructor
-
-
-def propagate(state: State, touched: Iterable[Node]) -> list[StatusChange]:
-    """Infer all that depends on the touched nodes, whose facts have changed; returns the changes of status."""
-    agenda: Agenda = [{}, {}, {}, {}, {}, {}, {}]
-    for node in touched:
-        _touch(state, node, agenda)
-    for node in agenda[_TOP]:
-        agenda[0].update(dict.fromkeys(node.constraints))
-    changes: list[StatusChange] = []
-    status, kept = state.status, state.kept
-    for nodes in agenda[:_TOP]:
-        state.visited += len(nodes)
+    def touch(self, nodes: Iterable[Node]) -> None:
+        """Note that nodes have to be inferred again, because facts about them change."""
+        outdated = self._outdated
         for node in nodes:
-            index, kind = node.index, node.kind
-            old, new = status[index], infer(state, node)
-            if new is old:
+            if node.kind == "attribute":
+                outdated[0].update(node.constraints)
                 continue
-            if kept is not None:
-                kept.append((status, index, old))
-            status[index] = new
-            changes.append(_NEW(StatusChange, (kind, node.name, old, new)))
-            wholes: Iterable[Node] = node.wholes
-            may_be_chosen_for = kind == "function" or kind == "component"
-            if may_be_chosen_for:
-                state.mark(state.adaptable, node, is_adaptable(state, node))
-            if (old in IMPOSSIBLE) == (new in IMPOSSIBLE):
-                wholes = (
-                    state.users[index].nodes()
-                    if may_be_chosen_for
-                    else ()
-                    if kind == "constraint"
-                    else wholes
-                )
-            for whole in wholes:
-                agenda[whole.level][whole] = None
-    return changes
+            outdated[node.level].add(node)
+            if node.kind == "action":
+                outdated[node.level - 1].update(node.requires)
+            elif node.kind == "function design":
+                outdated[LEVELS["component"]].update(node.requires)
+                outdated[LEVELS["function"]].update(node.used_by)
+            elif node.kind == "configuration":
+                outdated[LEVELS["component"]].update(node.used_by)
 
+    def infer(self) -> None:
+        """Infer what is outdated. A node stays outdated until its status is stored."""
+        for level in self._outdated:
+            while level:
+                node = next(iter(level))
+                new = self._infer(node)
+                before = self.status.get(node)
+                if new is not before:
+                    self._before.setdefault(node, before or unset_status(node))
+                    for user in node.used_by:
+                        self._outdated[user.level].add(user)
+                    if node.kind in ("function", "component"):
+                        mark = (
+                            self.adaptable.add
+                            if is_adaptable(node, new)
+                            else self.adaptable.discard
+                        )
+                        mark(node)
+                    self.status[node] = new
+                self._note_requirement(node)
+                level.discard(node)
+        self._mark_obsolete()
 
-def _touch(state: State, node: Node, agenda: Agenda) -> None:
-    index, kind = node.index, node.kind
-    agenda[node.level][node] = None
-    if kind == "function" or kind == "component":
-        _require(state, node)
-        if kind == "component":
-            _mark_component(state, node)
-    elif kind == "action":
-        required = state.requested[index] or state.asserted_required[index]
-        if required != state.required[index]:
-            state.put(state.required, index, required)
-            for function in node.parts:
-                _use(state, function, node, required, agenda)
-    elif kind == "function design":
-        selected = state.selected[index]
-        _touch(state, node.wholes[0], agenda)
-        state.mark(state.obsolete, node, selected and not state.required[node.wholes[0].index])
-        for component in node.parts:
-            _use(state, component, node, selected, agenda)
-    elif kind == "configuration":
-        agenda[node.wholes[0].level][node.wholes[0]] = (
-            None  # a component's status depends on which is selected
+    def _note_requirement(self, node: Node) -> None:
+        """Note whether a node is required, and what may be obsolete by that or is no longer."""
+        if node.kind == "function":
+            is_required = self.is_required(node)
+            if is_required is not (node in self._required):
+                self._unmarked.update(_serving(node))
+                (self._required.add if is_required else self._required.discard)(node)
+        elif node.kind == "component":
+            is_lacking = node not in self.active and self.is_required(node)
+            note = self._inactive_required.add if is_lacking else self._inactive_required.discard
+            note(node)
+        if node.kind in _CHOSEN:
+            self._unmarked.add(node)
+
+    def _mark_obsolete(self) -> None:
+        while self._unmarked:
+            node = next(iter(self._unmarked))
+            if node.kind == "component":
+                is_obsolete = node in self.active and not self.serves(node)
+            elif node not in self.selected:
+                is_obsolete = False
+            elif node.kind == "function design":
+                is_obsolete = node.used_by[0] not in self._required
+            else:
+                is_obsolete = not self.serves(node.used_by[0])
+            (self._obsolete.add if is_obsolete else self._obsolete.discard)(node)
+            self._unmarked.discard(node)
+
+    def _infer(self, node: Node) -> Status:
+        if node in self.asserted:
+            return self.asserted[node]
+        if node.kind == "constraint":
+            return self._compare(node, node.requires[0])
+        constraints = [self.status[constraint] for constraint in node.constraints]
+        if node.kind == "configuration":
+            return configuration_status(constraints)
+        required_statuses = [self.status[part] for part in node.requires]
+        if node.kind == "function design":
+            return design_status(constraints, required_statuses, node in self.selected)
+        required = self.is_required(node)
+        if node.kind == "action":
+            return action_status(constraints, required_statuses, required)
+        chosen = [self.status[part] for part in node.requires if part in self.selected]
+        if node.kind == "function":
+            return function_status(required_statuses, chosen, required)
+        is_failed, is_active = node in self.failed, node in self.active
+        return component_status(
+            is_failed, constraints, required_statuses, chosen, required, is_active
         )
-        _mark_configuration(state, node)
+
+    def _compare(self, node: Node, attribute: Node) -> Status:
+        if attribute in self.stale:
+            return policy_status(attribute.attribute.when_stale)
+        debounced = self.debounced.get(node)
+        if debounced is not None:
+            return debounced.status
+        constraint = node.constraint
+        return constraint_status(self.value.get(attribute), constraint.operator, constraint.value)
+
+    def renew(self, removed: Iterable[Node], changed: Iterable[Node], now: float) -> None:
+        """Follow a model that has changed; it can be repeated.
+
+        Args:
+            removed: nodes that are no longer in the model.
+            changed: attributes and constraints that are new, or are declared otherwise now.
+            now: the time of the change [s].
+        """
+        for node in removed:
+            self._forget(node)
+        for node in changed:
+            for constraint in node.constraints if node.kind == "attribute" else [node]:
+                self._restart(constraint, now)
+        self.touch(self.network.present())
+        self.infer()
+        self.adaptable = {
+            node
+            for node in (*self.network.functions.values(), *self.network.components.values())
+            if is_adaptable(node, self.status[node])
+        }
+
+    def follow_model(self, revision: int) -> None:
+        """Forget what is no longer in the network, and infer all again, unless it is of this revision."""
+        if revision == self.network.revision:
+            return
+        present = set(self.network.present())
+        for node in self.network.nodes:
+            if node not in present:
+                self._forget(node)
+        self.touch(present)
+        self.infer()
+
+    def to_json(self, keep: int) -> dict[str, Any]:
+        """Return the facts as values that JSON can hold, with the newest measurements."""
+        present = set(self.network.present())
+        facts: dict[str, list[Any]] = {}
+        for name in FLAGS:
+            nodes: set[Node] = vars(self)[name]
+            facts[name] = [node.ref for node in in_order(nodes & present)]
+        for name in _VALUES:
+            values: dict[Node, Any] = vars(self)[name]
+            facts[name] = [[node.ref, value] for node, value in values.items() if node in present]
+        return {
+            **facts,
+            "debounced": [
+                [node.ref, [_plain(getattr(one, field.name)) for field in fields(one)]]
+                for node, one in self.debounced.items()
+                if node in present
+            ],
+            "reasons": [
+                [fact, node.ref, *reason]
+                for (fact, node), reason in self.reasons.items()
+                if node in present
+            ],
+            "parameters": {name: dict(values) for name, values in self.parameters.items()},
+            "histories": [
+                [node.name, b64encode(packed).decode(), begins if begins > -math.inf else None]
+                for node, history in self.histories.items()
+                if node in present
+                for packed, begins in [history.packed(keep)]
+            ],
+        }
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and deep-copy a state by its facts; the statuses are inferred again."""
+        return _restored, (self.network.model, self.memory, self.to_json(self.memory.measurements))
+
+    def from_json(self, written: Mapping[str, Any]) -> None:
+        """Restore what `to_json` returned."""
+        find = self.network.referred
+        for name in FLAGS:
+            vars(self)[name].update(find(tuple(ref)) for ref in written[name])
+        for name in _VALUES:
+            for ref, value in written[name]:
+                if name == "asserted":
+                    value = Status(value)
+                elif name == "votes":
+                    value = tuple((number, vote) for number, vote in value)
+                vars(self)[name][find(tuple(ref))] = value
+        for ref, (status, since, is_silent, candidate, candidate_since) in written["debounced"]:
+            self.debounced[find(tuple(ref))] = Debounced(
+                Status(status),
+                _time(since),
+                is_silent,
+                None if candidate is None else Status(candidate),
+                _time(candidate_since),
+            )
+        for fact, ref, text, until in written["reasons"]:
+            self.reasons[fact, find(tuple(ref))] = Reason(text, until)
+        for name, values in written["parameters"].items():
+            self.parameters[name] = MappingProxyType(values)
+        for name, packed, begins in written["histories"]:
+            begins = -math.inf if begins is None else begins
+            history = History(self.memory, b64decode(packed), begins)
+            self.histories[self.network.attributes[name]] = history
+        self.touch(self.network.present())
+        self.infer()
+
+    def _restart(self, constraint: Node, now: float) -> None:
+        """Judge a constraint as if all that is known of its attribute were the latest value."""
+        attribute = constraint.requires[0]
+        self.stale.discard(attribute)
+        self.votes.pop(attribute, None)
+        self.debounced.pop(constraint, None)
+        if not is_debounced(constraint):
+            return
+        value = self.value.get(attribute)
+        self.debounced[constraint] = Debounced()
+        if value is not None:
+            self.votes[attribute] = ((0, value),)
+            self.judge(constraint, now)
+
+    def _forget(self, node: Node) -> None:
+        for name, content in vars(self).items():
+            if isinstance(content, set):
+                content.discard(node)
+            elif isinstance(content, dict) and name != "status":  # which a view may still ask for
+                content.pop(node, None)
+        for fact, of in [key for key in self.reasons if key[1] is node]:
+            del self.reasons[fact, of]
+        for level in self._outdated:
+            level.discard(node)
+        if node.kind == "component":
+            self.parameters.pop(node.name, None)
 
 
-def _use(state: State, part: Node, user: Node, uses: bool, agenda: Agenda) -> None:
-    state.mark(state.users.of(part.index), user, uses)
-    _touch(state, part, agenda)
+def _serving(function: Node) -> set[Node]:
+    """Return the designs of a function, their components, and the configurations of these."""
+    designs = function.requires
+    components = [component for design in designs for component in design.requires]
+    configurations = [part for component in components for part in component.requires]
+    return {*designs, *components, *configurations}
 
 
-def _require(state: State, node: Node) -> None:
-    """Update whether a function or component is required, and which components its designs serve."""
-    index = node.index
-    required = state.asserted_required[index] or bool(state.users[index])
-    if required == state.required[index]:
-        return
-    state.put(state.required, index, required)
-    if node.kind == "function":
-        for design in node.parts:
-            _serve(state, design, required)
+def _restored(model: Any, memory: Memory, written: Mapping[str, Any]) -> State:  # noqa: ANN401  # a `Model`
+    state = State(Network(model), memory)
+    state.from_json(written)
+    return state
 
 
-def _serve(state: State, design: Node, required: bool) -> None:
-    """Update how many designs of required functions each component of this design is in."""
-    selected, served, kept, mark = state.selected, state.served, state.kept, state.mark
-    if selected[design.index]:
-        mark(state.obsolete, design, not required)
-    for component in design.parts:
-        index = component.index
-        before = served[index]
-        after = before + (1 if required else -1)
-        if kept is not None:
-            kept.append((served, index, before))
-        served[index] = after
-        if not before or not after:
-            if state.active[index]:
-                mark(state.obsolete, component, not after)
-            for configuration in component.parts:
-                if selected[configuration.index]:
-                    mark(state.obsolete, configuration, not after)
+def _plain(value: Any) -> Any:  # noqa: ANN401  # a field of what is debounced
+    return None if value == -math.inf else value
 
 
-def _mark_component(state: State, component: Node) -> None:
-    index = component.index
-    state.mark(state.lacking, component, state.required[index] and not state.active[index])
-    state.mark(state.obsolete, component, state.active[index] and not state.served[index])
+def _time(written: float | None) -> float:
+    return -math.inf if written is None else written
 
 
-def _mark_configuration(state: State, configuration: Node) -> None:
-    selected = state.selected[configuration.index]
-    state.mark(
-        state.obsolete, configuration, selected and not state.served[configuration.wholes[0].index]
-    )
+def unset_status(node: Node) -> Status:
+    """Return the status of an element while nothing is known about it."""
+    return Status.NOT_EVALUATED if node.kind == "constraint" else Status.FEASIBLE
 
 
-def is_adaptable(state: State, node: Node) -> bool:
-    """Tell whether a choice is needed for a function or component, or a better one may be looked for."""
-    status = state.status[node.index]
-    if status is SOLVED:
+def is_adaptable(node: Node, status: Status) -> bool:
+    """Return whether a function or component of this status needs a choice, or a better one."""
+    if status is Status.SOLVED:
         return bool(node.element.always_improve)
-    return status is UNSOLVED or status is ERROR
+    return status in (Status.UNSOLVED, Status.CONFIGURATION_ERROR)
 
 
-def infer(state: State, node: Node) -> Status:
-    index, kind = node.index, node.kind
-    asserted = state.asserted[index]
-    if asserted is not None:
-        return asserted
-    if kind == "constraint":
-        return _compared(state, node, node.element, node.parts[0])
-    status, selected, required = state.status, state.selected, state.required[index]
-    constraints = [status[one.index] for one in node.constraints] if node.constraints else ()
-    if kind == "configuration":
-        return configuration_status(constraints)
-    parts = [status[part.index] for part in node.parts]
-    if kind == "function design":
-        return design_status(constraints, parts, selected[index])
-    if kind == "action":
-        return action_status(constraints, parts, required)
-    chosen = [status[part.index] for part in node.parts if selected[part.index]] if required else ()
-    if kind == "function":
-        return function_status(parts, chosen, required)
-    return component_status(
-        state.failed[index], constraints, parts, chosen, required, state.active[index]
-    )
-
-
-def _compared(state: State, node: Node, constraint: Constraint, attribute: Node) -> Status:
-    if not state.stale[attribute.index]:
-        verdict = state.verdict[node.index]
-        return verdict or constraint_status(
-            state.value[attribute.index], constraint.operator, constraint.value
-        )
-    return (
-        Status.VIOLATED
-        if attribute.attribute.when_stale is StalePolicy.VIOLATED
-        else Status.NOT_EVALUATED
-    )
-
-
-def infer_anew(state: State) -> None:
-    """Infer everything from the facts, e.g. after a change of the model; it can be called again after an interrupt."""
-    for node in state.network.present():
-        index = node.index
-        state.required[index], state.served[index], state.status[index] = False, 0, UNSET[node.kind]
-    for marked in state.marks:
-        marked.clear()
-    propagate(state, state.network.present())
+def in_order(nodes: Iterable[Node]) -> list[Node]:
+    """Return nodes in the order of declaration."""
+    return sorted(nodes, key=lambda node: node.index)

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar
 
 from kb.elements import AttributeKind, ComponentKind, Constraint, Element, Parameters, finite_number
-from kb.network import Node
+from kb.network import Node, Ref
 from kb.state import History, State
 from kb.status import Status
 
@@ -31,7 +31,10 @@ class Readable(Protocol):
         """The forecaster, which predicts attributes."""
 
     def reading(self) -> AbstractContextManager[State]:
-        """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
+        """Give the facts and statuses, to be read only; nothing changes within the `with`."""
+
+    def situation(self) -> "Readable":
+        """Return a copy that nothing changes."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -59,20 +62,28 @@ class ElementView:
         found: Element | Constraint = self.node.element
         return found
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle a view as that of the present situation; a knowledge base cannot be pickled."""
+        return _restored, (type(self), self.base.situation(), self.node.ref)
+
     def __repr__(self) -> str:
         return f"<{self.node.kind} {self.name!r}>"
 
 
-class Known(Generic[T]):
-    """A property that reads an element's present value from the array of the state that has this name."""
+def _restored(view: type[ElementView], base: Readable, ref: Ref) -> ElementView:
+    with base.reading() as state:
+        return view(base, state.network.referred(ref))
 
-    def __init__(self, column: str) -> None:
-        self._column = column
+
+class Known(Generic[T]):
+    """A property that reads what the state knows of an element."""
+
+    def __init__(self, read: Callable[[State, Node], T]) -> None:
+        self._read = read
 
     def __get__(self, view: ElementView, _: type) -> T:
         with view.base.reading() as state:
-            value: T = getattr(state, self._column)[view.node.index]
-            return value
+            return self._read(state, view.node)
 
 
 class Declared(Generic[T]):
@@ -91,7 +102,7 @@ class Parts:
 
     def __get__(self, view: ElementView, _: type) -> tuple[str, ...]:
         with view.base.reading():
-            return tuple(part.name for part in view.node.parts)
+            return tuple(part.name for part in view.node.requires)
 
 
 class ConstraintView(ElementView):
@@ -99,7 +110,7 @@ class ConstraintView(ElementView):
 
     __slots__ = ()
 
-    status = Known[Status]("status")
+    status = Known[Status](lambda state, node: state.status[node])
     attribute = Declared[str]()
     operator = Declared[str]()
     value = Declared[float]()
@@ -108,7 +119,7 @@ class ConstraintView(ElementView):
 class _StatusView(ElementView):
     __slots__ = ()
 
-    status = Known[Status]("status")
+    status = Known[Status](lambda state, node: state.status[node])
 
     @property
     def constraints(self) -> tuple[ConstraintView, ...]:
@@ -122,7 +133,7 @@ class ActionView(_StatusView):
 
     __slots__ = ()
 
-    is_required = Known[bool]("required")
+    is_required = Known[bool](State.is_required)
     functions = Parts()
 
 
@@ -131,7 +142,7 @@ class FunctionView(_StatusView):
 
     __slots__ = ()
 
-    is_required = Known[bool]("required")
+    is_required = Known[bool](State.is_required)
     always_improve = Declared[bool]()
     designs = Parts()
 
@@ -141,8 +152,8 @@ class ComponentView(_StatusView):
 
     __slots__ = ()
 
-    is_required = Known[bool]("required")
-    is_active = Known[bool]("active")
+    is_required = Known[bool](State.is_required)
+    is_active = Known[bool](lambda state, node: node in state.active)
     always_improve = Declared[bool]()
     kind = Declared[ComponentKind]()
     stops_to_configure = Declared[bool]()
@@ -154,7 +165,7 @@ class ComponentView(_StatusView):
     def selected_configuration(self) -> str | None:
         """Name of the selected configuration; None if none is selected."""
         with self.base.reading() as state:
-            return next((part.name for part in self.node.parts if state.selected[part.index]), None)
+            return next((part.name for part in self.node.requires if part in state.selected), None)
 
     @property
     def parameters_in_force(self) -> Parameters:
@@ -166,16 +177,14 @@ class ComponentView(_StatusView):
 class _SelectableView(_StatusView):
     __slots__ = ()
 
-    is_selected = Known[bool]("selected")
+    is_selected = Known[bool](lambda state, node: node in state.selected)
     priority = Declared[float | None]()
 
     @property
     def reason(self) -> str:
         """The reason that was given with its selection; empty without a reason, or if it is not selected."""
         with self.base.reading() as state:
-            return (
-                state.reason("selected", self.node).text if state.selected[self.node.index] else ""
-            )
+            return state.reason("selected", self.node).text if self.node in state.selected else ""
 
 
 class DesignView(_SelectableView):
@@ -209,9 +218,9 @@ class AttributeView(ElementView):
     unit = Declared[str]()
     low = Declared[float]()
     high = Declared[float]()
-    value = Known[float | None]("value")
-    time = Known[float | None]("time")
-    is_stale = Known[bool]("stale")
+    value = Known[float | None](lambda state, node: state.value.get(node))
+    time = Known[float | None](lambda state, node: state.time.get(node))
+    is_stale = Known[bool](lambda state, node: node in state.stale)
 
     @property
     def history(self) -> tuple[tuple[float, float], ...]:
@@ -234,7 +243,7 @@ class AttributeView(ElementView):
 
     def _asked(self, question: Callable[[History], T], unmeasured: T) -> T:
         with self.base.reading() as state:
-            history = state.histories.get(self.node.index)
+            history = state.histories.get(self.node)
             return unmeasured if history is None else question(history)
 
 

@@ -92,8 +92,6 @@ class KbBehaviour(GuardedBehaviour):
             ticked at one moment.
     """
 
-    BOOKKEEPING = "last_event"
-
     def __init__(self, name: str, kb: KnowledgeBase) -> None:
         super().__init__(name)
         self.kb = kb
@@ -315,7 +313,6 @@ class RosaAction(ActionBehaviour, Requester):
         kb.UnknownName: no such action; the message lists the nearest ones.
     """
 
-    BOOKKEEPING = "_saved_s"
     INPUT_PORTS = ActionBehaviour.INPUT_PORTS | {
         "preference": PortInformation(str, False, "attribute to favour", "")
     }

@@ -108,7 +108,7 @@ def forget_progress(kb: KnowledgeBase) -> None:
 
 def store_progress(kb: KnowledgeBase, action: str, name: str, saved: str) -> None:
     """Record the progress of a behaviour, as JSON, for the next program; empty for none."""
-    kb.tell(Event(0, kb.now, "progress", (action, name, saved)))
+    kb.replay(Event(0, kb.now, "progress", (action, name, saved)))
 
 
 def why(kb: KnowledgeBase, action: str) -> str:
@@ -138,9 +138,10 @@ def advance_halting(kb: KnowledgeBase) -> None:
 
 
 def end_halting(kb: KnowledgeBase, root: Behaviour) -> None:
-    """Release what still halts in a tree, at once."""
+    """Release what still halts in a tree, or was taken out of one, at once."""
     for request in tuple(requests_of(kb).halting):
-        if root_of(request.owner) is root:
+        root_of_owner = root_of(request.owner)
+        if root_of_owner is root or root_of_owner not in _missions:
             request.end_halting(f"the tree was shut down while {request.owner.name} was halting")
 
 
@@ -151,8 +152,6 @@ class ActionRequest:
         owner: the behaviour; it has an `action` and a `preference`.
         timeout: how long to wait for the robot's configuration [s]; None: do not wait.
     """
-
-    BOOKKEEPING = "_since _halting_since"
 
     def __init__(self, owner: Any, kb: KnowledgeBase, timeout: float | None) -> None:  # noqa: ANN401  # a Requester
         if timeout is not None and not timeout > 0:

@@ -26,6 +26,7 @@ from rosa_bt.exceptions import TraceError
 from rosa_bt.runner import TreeRunner
 
 _VERSION: Final = 3
+_CAUSED_BY_TIME: Final = frozenset({"stale", "dwell", "lapse"})
 _KEPT: Final = 10_000
 _ENCODER: Final = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False)
 _ESCAPED: Final = re.compile("[\x85\u2028\u2029\ud800-\udfff]")
@@ -239,8 +240,11 @@ class TraceVisitor(VisitorBase):
         )
 
     def _witness(self, event: Event) -> None:
-        """Note whether the tree told the event, and why actions became unfeasible with it, as it is explained now."""
-        if self._thread == get_ident():
+        """Note whether the tree told the event, and why actions became unfeasible with it, as it is explained now.
+
+        What time causes while a tick is under way is not told by the tree: it is replayed in its place.
+        """
+        if self._thread == get_ident() and event.verb not in _CAUSED_BY_TIME:
             self._own.add(event.number)
         names = _unfeasible(event)
         if names:
@@ -402,7 +406,7 @@ def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Be
     if first != 1:
         raise TraceError(f"the trace begins at event {first}; the log no longer held those before")
     now = [trace.ticks[0].time if trace.ticks else 0.0]
-    kb = KnowledgeBase(model, clock=lambda: now[0])
+    kb = KnowledgeBase(model, clock=lambda: now[0], is_timed=False)
     runner = TreeRunner(build(kb), clock=lambda: now[0])
     with _Replay(kb, now, len(trace.ticks) or 1) as visitor:
         runner.tree.add_visitor(visitor)
@@ -442,7 +446,7 @@ class _Replay(TraceVisitor):
         for event in events:
             self._now[0] = event.time
             try:
-                self._kb.tell(event)
+                self._kb.replay(event)
             except InvalidValue as error:
                 raise TraceError(
                     f"{event.verb}{event.arguments!r} cannot be told again: {error}"

@@ -1,8 +1,14 @@
-"""A PDDL domain with its problem, as ROSA uses them, in the names of the files; and what came of planning."""
+"""A PDDL domain with its problem, in the names of the files: actions, formulas, objects, initial facts.
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
-from enum import Enum
+A formula is a tuple. Its first item says what it is:
+`("atom", name, terms)`, `("same", term, term)`, `("in", term, types)`, `("not", formula)`,
+`("and" | "or", formula, ...)`, `("forall" | "exists", variables, formula)`, and comparisons
+`("<" | "<=" | "=", number, number)`. A number is exact, or `("n", name, terms)`, or an operator
+with its parts, such as `("+", 1, 2)`. A term is an object, or a variable such as `?x`.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from itertools import product
@@ -13,18 +19,26 @@ from rosa_pddl.exceptions import PddlError, UnknownNameError, UnknownObjectError
 
 ACTION_TYPE = "action"
 FEASIBLE = "action_feasible"
-
-UpThing: TypeAlias = Any
-"""A problem, expression, effect or engine of unified-planning, which ships no types."""
+DURATION = "?duration"
+TIME = "total-time"
 
 State = frozenset[str]
 """The true atoms, as text: `frozenset({"(lit room)", "(action_feasible scan)"})`.
 
 A number in `Domain.computed` has its value as an atom too: `(= (fuel rover) 80.5)`.
 """
-
 Exact: TypeAlias = int | Fraction
 """A number that is added and compared without rounding."""
+Formula: TypeAlias = tuple[Any, ...]
+Number: TypeAlias = Any
+"""An exact number, `("n", name, terms)`, or an operator with its parts; None if it is unknown."""
+Binding: TypeAlias = Mapping[str, str]
+"""Objects by variable, such as `{"?x": "room"}`."""
+Variables: TypeAlias = tuple[tuple[str, str], ...]
+"""Variables with their types."""
+
+TRUE: Formula = ("and",)
+FALSE: Formula = ("or",)
 
 # Below this, a float without a fraction is exactly the whole number that was written.
 _ALL_WHOLE = 2**53
@@ -41,32 +55,96 @@ class Feasibility(Protocol):
         """Return whether an action can be done now."""
 
 
+class Effect(NamedTuple):
+    """An effect of an action.
+
+    Args:
+        kind: `add`, `delete`, `assign`, `increase` or `decrease`.
+        name: the predicate or the number.
+        terms: its arguments.
+        condition: when the effect happens.
+        variables: it happens for every choice of objects for these.
+        amount: the new value of a number, or by how much it changes.
+    """
+
+    kind: str
+    name: str
+    terms: tuple[str, ...]
+    condition: Formula = TRUE
+    variables: Variables = ()
+    amount: Number = None
+
+    @property
+    def is_numeric(self) -> bool:
+        """Whether it changes a number."""
+        return self.kind not in ("add", "delete")
+
+
+class Axiom(NamedTuple):
+    """A rule that derives an atom: its variables with types, its condition, and its layer.
+
+    Axioms of lower layers are applied first.
+    """
+
+    variables: Variables
+    condition: Formula
+    layer: int
+
+
+class Signature(NamedTuple):
+    """A declared predicate or number: its name as the file spells it, and its arguments."""
+
+    name: str
+    variables: Variables
+    is_number: bool
+
+    @property
+    def types(self) -> tuple[str, ...]:
+        """The types of its arguments."""
+        return tuple(kind for _, kind in self.variables)
+
+    def __str__(self) -> str:
+        words = [f"{variable} - {kind}" for variable, kind in self.variables]
+        return atom_text(self.name, words)
+
+
 @dataclass(frozen=True)
 class Schema:
-    """A PDDL action. An instantaneous one has its conditions in `start` and its effects in `end_effects`.
+    """A PDDL action. An instantaneous one has its conditions in `start`, effects in `end_effects`.
 
     Args:
         name: as the file spells it.
-        parameters: name and type of each parameter, in order.
-        start, over_all, end: conditions at the start, throughout and at the end, as unified-planning expressions.
-        start_effects, end_effects: effects at the start and at the end, as unified-planning effects.
-        action: the parameter (`?a` without the mark) or constant that is the ROSA action; None if there is none.
-        uses: how much it uses of each resource, as a unified-planning expression, by the resource's name.
-        cost: what it adds to the metric, as a unified-planning expression; None for nothing.
-        duration: its shortest and longest duration [s], as a unified-planning interval; None if it is instantaneous.
+        parameters: name (without `?`) and type of each parameter, in order.
+        start, over_all, end: conditions at the start, throughout and at the end.
+        start_effects, end_effects: effects at the start and at the end.
+        action: the parameter (without `?`) or constant that is the ROSA action; None if none is.
+        duration: its shortest and longest duration [s], as numbers; None if it is instantaneous.
     """
 
     name: str
-    parameters: tuple[tuple[str, str], ...]
-    start: tuple[UpThing, ...]
-    over_all: tuple[UpThing, ...]
-    end: tuple[UpThing, ...]
-    start_effects: tuple[UpThing, ...]
-    end_effects: tuple[UpThing, ...]
-    action: str | None
-    uses: Mapping[str, UpThing] = field(default_factory=dict, hash=False)
-    cost: UpThing = None
-    duration: UpThing = None
+    parameters: Variables
+    start: tuple[Formula, ...] = ()
+    over_all: tuple[Formula, ...] = ()
+    end: tuple[Formula, ...] = ()
+    start_effects: tuple[Effect, ...] = ()
+    end_effects: tuple[Effect, ...] = ()
+    action: str | None = None
+    duration: tuple[Number, Number] | None = None
+
+    def with_effects(self, change: Callable[[Effect], Effect]) -> "Schema":
+        """Return the action with each effect changed."""
+        starts = tuple(map(change, self.start_effects))
+        return replace(self, start_effects=starts, end_effects=tuple(map(change, self.end_effects)))
+
+    @property
+    def conditions(self) -> tuple[Formula, ...]:
+        """All conditions."""
+        return self.start + self.over_all + self.end
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """All effects."""
+        return self.start_effects + self.end_effects
 
 
 @dataclass(frozen=True)
@@ -87,127 +165,12 @@ class Step:
         return f"{self.schema}({', '.join(self.arguments)})"
 
 
-@dataclass(frozen=True)
-class TimedStep:
-    """A step of a plan in which steps overlap.
+class TimedFact(NamedTuple):
+    """A fact that becomes true or false at a time after the start of the problem [s]."""
 
-    Args:
-        step: what is done.
-        start_s: when it starts, from the start of the plan [s].
-        duration_s: how long it takes [s]; 0 for an instantaneous action.
-    """
-
-    step: Step
-    start_s: float
-    duration_s: float
-
-    @property
-    def end_s(self) -> float:
-        """When it ends, from the start of the plan [s]."""
-        return self.start_s + self.duration_s
-
-
-class Outcome(Enum):
-    """How planning ended; if all attempts fail, the first outcome in this list that one of them had is reported."""
-
-    SOLVED = "solved"
-    SOLVED_OPTIMALLY = "solved optimally"
-    UNSOLVABLE_PROVEN = "unsolvable proven"
-    UNSOLVABLE_AS_FAR_AS_KNOWN = "unsolvable as far as known"
-    OUT_OF_TIME = "out of time"
-    OUT_OF_MEMORY = "out of memory"
-    ENGINE_CRASHED = "engine crashed"
-    UNSUPPORTED = "unsupported"
-    ENGINE_MISSING = "engine missing"
-
-    @property
-    def is_solved(self) -> bool:
-        """Whether there is a plan."""
-        return self in (Outcome.SOLVED, Outcome.SOLVED_OPTIMALLY)
-
-    @property
-    def is_unsolvable(self) -> bool:
-        """Whether there is no plan because the problem has none."""
-        return self in (Outcome.UNSOLVABLE_PROVEN, Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN)
-
-    @property
-    def is_trouble(self) -> bool:
-        """Whether there is no plan because of the engine, not because of the problem."""
-        return not self.is_solved and not self.is_unsolvable
-
-    @property
-    def is_passing(self) -> bool:
-        """Whether the trouble may be temporary, so that the same request may succeed later."""
-        return self in (Outcome.OUT_OF_TIME, Outcome.OUT_OF_MEMORY, Outcome.ENGINE_CRASHED)
-
-    def __str__(self) -> str:
-        return self.value
-
-
-class Trouble(Exception):
-    """Raised where planning ends without a plan; it carries the outcome to the planner, which reports it."""
-
-    def __init__(self, outcome: Outcome, message: str = "") -> None:
-        super().__init__(message)
-        self.outcome = outcome
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """One way of planning that was tried.
-
-    Args:
-        way: `warm`, `cold`, `cache`, `certificate`, or the name of an engine of unified-planning.
-        outcome: how it ended.
-        message: what went wrong and what to do about it; empty when solved.
-    """
-
-    way: str
-    outcome: Outcome
-    message: str = ""
-
-    def __str__(self) -> str:
-        return f"{self.way}: {self.outcome}" + (f" ({self.message})" if self.message else "")
-
-
-@dataclass(frozen=True)
-class PlanningResult:
-    """The answer of a planner.
-
-    Args:
-        outcome: how it ended.
-        steps: the plan, in the order of their starts; empty unless solved.
-        engine: the engine that answered, or that should have answered.
-        message: without a plan, what was tried and what to do about it; with a plan, how much less another may cost at
-            most, if costs had to be rounded because they are too far apart, else empty.
-        cost: cost of the plan: the sum of its action costs if the problem has a metric, else the number of its steps.
-        schedule: when each step starts and how long it takes, if steps may overlap; empty if they follow one another.
-        attempts: what was tried, in order.
-        safe_step: the step to do while there is no plan; None if there is a plan, or no safe step is set or can start.
-    """
-
-    outcome: Outcome
-    steps: tuple[Step, ...] = ()
-    engine: str = ""
-    message: str = ""
-    cost: float | None = None
-    schedule: tuple[TimedStep, ...] = ()
-    attempts: tuple[Attempt, ...] = ()
-    safe_step: Step | None = None
-
-    @property
-    def hangs_on_the_clock(self) -> bool:
-        """Whether an attempt ran out of wall-clock time, so that a faster machine might give another answer."""
-        outcomes = {self.outcome, *(attempt.outcome for attempt in self.attempts)}
-        return Outcome.OUT_OF_TIME in outcomes
-
-
-class Derived(NamedTuple):
-    """The definition of a derived predicate: a condition on its variables; lower layers are derived first."""
-
-    variables: tuple[UpThing, ...]
-    condition: UpThing
-    layer: int
+    at_s: float
+    atom: str
+    is_true: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,100 +181,106 @@ class Domain:
         name: as the domain file gives it.
         file: the domain file.
         problem_file: the problem file.
-        up_problem: unified-planning's `Problem` without actions and metric, in the names of `inside`.
         schema_of: the PDDL actions by name, in the order of the file.
-        outside: the name in the files for each unique name in unified-planning.
-        inside: the reverse, by kind (predicate, object, action) and lower-case name.
+        signatures: the predicates and numbers by their names in lower case.
+        kinds: for each type, in lower case, its name in the file and its lineage, itself first.
         types: for each object its type and the ancestors of this type, in lower case.
+        constants: the objects that the domain file declares.
         places: file and line of each declaration, by kind (object, action) and name.
-        rosa_actions: names of the objects of type `action`, in the order of the files.
-        goals: the goal conditions of the problem file, as text.
+        facts: the initial facts of the problem file.
+        numbers: the initial values of numbers, by their text.
+        timed: facts that change by themselves.
+        goal: the goal conditions of the problem file.
+        metric: what a plan costs, as a number; None for the number of its steps.
+        computed: the numbers that actions change and that plans depend on; part of a state.
+        compared: the numbers that plans depend on, but no action changes; beside the state.
+        axioms: the rules of derived predicates, by their names in lower case.
         oversights: likely mistakes in the files, in sentences.
-        axioms: the definitions of the derived predicates, by their names in lower case.
-        computed: the names of the numbers that conditions compare and effects change; their values are part of a state.
-        metric: `cost`, `makespan`, or empty for the number of steps.
-        limits: limits on resources, such as `(<= (energy_used) 5)`; they are not among the goals of `up_problem`.
+        texts: the two files as they are, for engines that read them.
+        only_planned: why the files can be planned for but not executed; empty if they can.
     """
 
     name: str
     file: str
     problem_file: str
-    up_problem: UpThing = field(repr=False)
     schema_of: Mapping[str, Schema] = field(repr=False)
-    outside: Mapping[str, str] = field(repr=False)
-    inside: Mapping[tuple[str, str], str] = field(repr=False)
+    signatures: Mapping[str, Signature] = field(repr=False)
+    kinds: Mapping[str, tuple[str, tuple[str, ...]]] = field(repr=False)
     types: Mapping[str, tuple[str, ...]] = field(repr=False)
+    constants: frozenset[str] = frozenset()
     places: Mapping[tuple[str, str], tuple[str, int]] = field(default_factory=dict, repr=False)
-    rosa_actions: tuple[str, ...] = ()
-    goals: tuple[str, ...] = ()
-    oversights: tuple[str, ...] = ()
-    metric: str = ""
-    limits: tuple[UpThing, ...] = ()
+    facts: State = field(default=frozenset(), repr=False)
+    numbers: Mapping[str, Exact] = field(default_factory=dict, repr=False)
+    timed: tuple[TimedFact, ...] = ()
+    goal: tuple[Formula, ...] = ()
+    metric: Number = None
     computed: frozenset[str] = frozenset()
-    axioms: dict[str, Derived] = field(default_factory=dict, repr=False)
-    _atoms: dict[str, str] = field(default_factory=dict, init=False, repr=False)
-    worked_out: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
+    compared: frozenset[str] = frozenset()
+    axioms: Mapping[str, tuple[Axiom, ...]] = field(default_factory=dict, repr=False)
+    oversights: tuple[str, ...] = ()
+    texts: tuple[str, str] = field(default=("", ""), repr=False)
+    only_planned: str = ""
+    cache: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
+
+    def with_numbers(self, numbers: Mapping[str, float]) -> "Domain":
+        """Return the domain with other values of the numbers on which plans depend."""
+        changed = dict[str, Exact]()
+        for text, value in numbers.items():
+            if head_of(text) in self.compared:
+                changed[text] = exact(value)
+        if all(self.numbers.get(text) == value for text, value in changed.items()):
+            return self
+        domain = replace(self, numbers={**self.numbers, **changed})
+        object.__setattr__(domain, "cache", self.cache)  # what is in it depends on no number
+        return domain
 
     def check(self, kb: Feasibility) -> tuple[str, ...]:
-        """Check that the knowledge base knows every ROSA action of the files.
+        """Check that the knowledge base has every ROSA action of the files.
 
         Returns:
-            Likely mistakes, in sentences, such as actions of the knowledge base that the files lack, and ROSA actions
-            of the files that no PDDL action does.
+            Likely mistakes, in sentences, such as actions of the knowledge base that the files
+            lack, and ROSA actions of the files that no PDDL action does.
 
         Raises:
-            PddlError: an action is unknown; the message points at its object and names the nearest actions.
+            PddlError: an action is unknown; the message points at its object and names the nearest.
         """
         if self.rosa_actions and not self.feasibility:
-            text = f"there are objects of type action but no predicate ({FEASIBLE} ?a - action) to ask for"
-            raise PddlError(text, self.file, 1)
+            text = "there are objects of type action but no predicate"
+            raise PddlError(f"{text} ({FEASIBLE} ?a - action) to ask for", self.file, 1)
         for action in self.rosa_actions:
             if action not in kb.actions:
-                file, line = self.places["object", action]
+                file, line = self.places.get(("object", action), (self.file, 0))
+                message = f"the knowledge base does not know the action {action!r}"
                 hint = nearest(action, kb.actions)
-                raise PddlError(
-                    f"the knowledge base does not know the action {action!r}; {hint}",
-                    file,
-                    line or None,
-                )
-        unplanned = [name for name in kb.actions if name not in self.rosa_actions]
-        findings = [
-            f"the action {name!r} of the knowledge base is never planned: {self.file}"
-            for name in unplanned
-        ]
-        schemas = self.schema_of.values()
-        idle = [
-            action
-            for action in self.rosa_actions
-            if not any(self.may_do(one, action) for one in schemas)
-        ]
-        return (
-            *self.oversights,
-            *findings,
-            *(f"no PDDL action of {self.file} does the ROSA action {action!r}" for action in idle),
-        )
+                raise PddlError(f"{message}; {hint}", file, line or None)
+        findings = list(self.oversights)
+        for name in kb.actions:
+            if name not in self.rosa_actions:
+                text = f"the action {name!r} of the knowledge base is never planned"
+                findings.append(f"{text}: {self.file}")
+        for action in self.rosa_actions:
+            if not any(self.may_do(schema, action) for schema in self.schema_of.values()):
+                findings.append(f"no PDDL action of {self.file} does the ROSA action {action!r}")
+        return tuple(findings)
 
     def may_do(self, schema: Schema, action: str) -> bool:
-        """Whether a PDDL action may do a ROSA action, according to the facts of the problem file."""
+        """Whether a PDDL action may do a ROSA action, by the facts of the problem file."""
         if schema.action is None or schema.action not in dict(schema.parameters):
             return schema.action == action
-        kind = f"{schema.name.lower()}_action"
-        if ("predicate", kind) not in self.inside or self.up_problem.fluent(
-            self.inside["predicate", kind]
-        ).arity != 1:
+        kind = self.signatures.get(f"{schema.name.lower()}_action")
+        if kind is None or len(kind.types) != 1:
             return True
-        value = self.up_problem.explicit_initial_values.get(self.expression(f"({kind} {action})"))
-        return value is not None and value.is_true()
+        return f"({kind.name} {action})" in self.facts
 
-    def atom(self, text: str) -> str:
-        """Return the canonical text of an atom, e.g. `(lit room)` for `lit ROOM`.
+    @cached_property
+    def rosa_actions(self) -> tuple[str, ...]:
+        """The objects of type `action`, in the order of the files."""
+        return self.objects_of(ACTION_TYPE)
 
-        Raises:
-            UnknownNameError: the predicate is unknown or derived, or an argument does not fit it.
-        """
-        if text not in self._atoms:
-            self._atoms[text] = self._canonical(text)
-        return self._atoms[text]
+    @property
+    def goals(self) -> tuple[str, ...]:
+        """The goal conditions of the problem file, as text."""
+        return tuple(text_of(goal) for goal in self.goal)
 
     @property
     def schemas(self) -> tuple[str, ...]:
@@ -319,87 +288,66 @@ class Domain:
         return tuple(self.schema_of)
 
     @property
-    def limited(self) -> tuple[str, ...]:
-        """The names of the numbers that have a limit."""
-        return tuple(dict.fromkeys(self.outside[one.arg(0).fluent().name] for one in self.limits))
+    def is_temporal(self) -> bool:
+        """Whether an action takes time."""
+        return any(schema.duration is not None for schema in self.schema_of.values())
+
+    @cached_property
+    def numeric(self) -> frozenset[str]:
+        """The names of the numeric facts, as the files spell them."""
+        return frozenset(each.name for each in self.signatures.values() if each.is_number)
 
     def feasible_atom(self, action: str) -> str:
         """Return the atom that says that a ROSA action is feasible."""
-        return f"({self.spelling('predicate', FEASIBLE, FEASIBLE)} {action})"
+        signature = self.signatures.get(FEASIBLE)
+        return f"({FEASIBLE if signature is None else signature.name} {action})"
 
     @cached_property
     def feasibility(self) -> Mapping[str, str]:
-        """Each ROSA action by the atom that says that it is feasible; empty if the domain lacks the predicate."""
-        actions = self.rosa_actions if ("predicate", FEASIBLE) in self.inside else ()
-        return {self.feasible_atom(action): action for action in actions}
-
-    @property
-    def numeric(self) -> frozenset[str]:
-        """The names of the numeric facts, as the files spell them."""
-        fluents = self.up_problem.fluents
-        return frozenset(
-            self.outside[fluent.name] for fluent in fluents if not fluent.type.is_bool_type()
-        )
-
-    def duration_s(self, schema: str) -> float:
-        """Return the shortest declared duration of an action [s]: 0 if instantaneous, infinite if not constant."""
-        duration = self.schema_of[schema].duration
-        is_known = duration is None or duration.lower.is_constant()
-        return inf if not is_known else float(duration.lower.constant_value()) if duration else 0.0
+        """Each ROSA action by the atom that says that it is feasible; empty without the predicate."""
+        if FEASIBLE not in self.signatures:
+            return {}
+        return {self.feasible_atom(action): action for action in self.rosa_actions}
 
     def is_feasibility(self, atom: str) -> bool:
         """Whether an atom says that a ROSA action is feasible."""
-        return atom[1:-1].lower().split()[0] == FEASIBLE
-
-    def axiom(self, atom: UpThing) -> Derived | None:
-        """Return the definition of an atom, given as a unified-planning expression; None if it is not derived."""
-        return self.axioms.get(self.outside[atom.fluent().name].lower()) if self.axioms else None
-
-    def makes_feasible(self, effect: UpThing) -> bool:
-        """Whether an effect may make ROSA actions feasible."""
-        return (
-            self.outside[effect.fluent.fluent().name].lower() == FEASIBLE
-            and not effect.value.is_false()
-        )
+        return head_of(atom).lower() == FEASIBLE
 
     def objects_of(self, type_name: str) -> tuple[str, ...]:
         """Return the objects of a type or of its subtypes, in the order of the files."""
-        return tuple(name for name, types in self.types.items() if type_name.lower() in types)
+        kind = type_name.lower()
+        known: dict[str, tuple[str, ...]] = self.cache.setdefault("objects", {})
+        if kind not in known:
+            objects = [name for name, lineage in self.types.items() if kind in lineage]
+            known[kind] = tuple(objects)
+        return known[kind]
 
-    def bindings(
-        self, variables: Iterable[UpThing], outer: Mapping[str, Any]
-    ) -> Iterator[dict[str, Any]]:
-        """Yield the outer binding, extended by each choice of objects for the variables of a quantifier."""
-        choices = {one.name: self.objects_of(self.outside[one.type.name]) for one in variables}
-        for chosen in product(*choices.values()):
-            yield {**outer, **dict(zip(choices, chosen, strict=True))}
+    def bindings(self, variables: Variables, outer: Binding) -> Iterator[Binding]:
+        """Yield the outer binding, extended by each choice of objects for variables."""
+        names = [name for name, _ in variables]
+        for chosen in product(*[self.objects_of(kind) for _, kind in variables]):
+            yield {**outer, **dict(zip(names, chosen, strict=True))}
 
     def step(self, schema: str, arguments: Iterable[str]) -> Step:
         """Return a step, with the ROSA action that it does."""
-        given = tuple(arguments)
-        known = self.schema_of[schema]
-        names = [name for name, _ in known.parameters]
-        action = (
-            dict(zip(names, given, strict=True)).get(known.action, known.action)
-            if known.action
-            else None
-        )
-        return Step(schema, given, action)
+        listed = tuple(arguments)
+        definition = self.schema_of[schema]
+        names = [name for name, _ in definition.parameters]
+        action = definition.action
+        if action is not None:
+            action = dict(zip(names, listed, strict=True)).get(action, action)
+        return Step(schema, listed, action)
 
-    def stated(self, fact: str) -> tuple[UpThing, UpThing]:
-        """Return a fact of a state as a unified-planning expression and its value: true, or a number."""
-        manager = self.up_problem.environment.expression_manager
-        for text, value in numbers_in([fact]).items():
-            return self.expression(text), manager.auto_promote(value)[0]
-        return self.expression(fact), manager.TRUE()
+    def atom(self, text: str) -> str:
+        """Return the canonical text of an atom, e.g. `(lit room)` for `lit ROOM`.
 
-    def expression(self, atom: str) -> UpThing:
-        """Return an atom as a unified-planning expression."""
-        name, *arguments = atom[1:-1].split()
-        fluent = self.up_problem.fluent(self.inside["predicate", name.lower()])
-        return fluent(
-            *(self.up_problem.object(self.inside["object", word.lower()]) for word in arguments)
-        )
+        Raises:
+            UnknownNameError: the predicate is unknown or derived, or an argument does not fit it.
+        """
+        known: dict[str, str] = self.cache.setdefault("atoms", {})
+        if text not in known:
+            known[text] = self._canonical(text)
+        return known[text]
 
     def _canonical(self, text: str) -> str:
         words = text.strip().removeprefix("(").removesuffix(")").split()
@@ -409,38 +357,109 @@ class Domain:
         if words[0].lower() in self.axioms:
             raise UnknownNameError(f"{text!r} is derived: it is neither stated nor sensed")
         arguments = [self.spelling("object", word, text) for word in words[1:]]
-        fluent = self.up_problem.fluent(self.inside["predicate", words[0].lower()])
-        expected = [self.outside[parameter.type.name] for parameter in fluent.signature]
+        expected = self.signatures[words[0].lower()].types
         if len(expected) != len(arguments):
-            raise UnknownNameError(
-                f"{text!r} has {len(arguments)} arguments, {predicate!r} takes {len(expected)}"
-            )
-        for argument, type_name in zip(arguments, expected, strict=True):
-            if type_name.lower() not in self.types[argument]:
-                known = ", ".join(self.objects_of(type_name)) or "none"
-                raise UnknownNameError(
-                    f"{argument!r} in {text!r} is not of type {type_name!r}; of that type: {known}"
-                )
-        return "(" + " ".join([predicate, *arguments]) + ")"
+            message = f"{text!r} has {len(arguments)} arguments, {predicate!r} takes"
+            raise UnknownNameError(f"{message} {len(expected)}")
+        for argument, kind in zip(arguments, expected, strict=True):
+            if kind.lower() not in self.types[argument]:
+                fitting = ", ".join(self.objects_of(kind)) or "none"
+                message = f"{argument!r} in {text!r} is not of type {kind!r}; of that type:"
+                raise UnknownNameError(f"{message} {fitting}")
+        return atom_text(predicate, arguments)
+
+    @cached_property
+    def _spellings(self) -> Mapping[str, Mapping[str, str]]:
+        names = {
+            "predicate": [each.name for each in self.signatures.values()],
+            "object": list(self.types),
+            "type": [name for name, _ in self.kinds.values()],
+            "action": list(self.schema_of),
+        }
+        return {kind: {name.lower(): name for name in each} for kind, each in names.items()}
 
     def spelling(self, kind: str, word: str, text: str) -> str:
-        """Return the name of a predicate, object, type or action as the files spell it; errors quote `text`."""
-        if (kind, word.lower()) not in self.inside:
-            known = [
-                self.outside[inner] for (other, _), inner in self.inside.items() if other == kind
-            ]
+        """Return a predicate, object, type or action as the files spell it; errors quote `text`."""
+        spellings = self._spellings[kind]
+        if word.lower() not in spellings:
             error = UnknownObjectError if kind == "object" else UnknownNameError
-            raise error(f"{self.file} has no {kind} {word!r} (in {text!r}); {nearest(word, known)}")
-        return self.outside[self.inside[kind, word.lower()]]
+            hint = nearest(word, spellings.values())
+            raise error(f"{self.file} has no {kind} {word!r} (in {text!r}); {hint}")
+        return spellings[word.lower()]
 
 
-def lineage_of(kind: UpThing, outside: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the names of a type and its ancestors as in the files, but in lower case."""
-    return tuple(outside[one.name].lower() for one in kind.ancestors)
+def with_object(domain: Domain, name: str, type_name: str) -> Domain:
+    """Return a domain with one more object, about which it has no facts.
+
+    Raises:
+        UnknownNameError: there is no such type, the name is taken or no PDDL name, or the object
+            would be a ROSA action: only the knowledge base defines those.
+    """
+    spelled = domain.spelling("type", type_name, f"{name} - {type_name}")
+    lineage = domain.kinds[spelled.lower()][1]
+    if ACTION_TYPE in lineage:
+        message = f"{name!r} would be a ROSA action; those are added to the model and to"
+        raise UnknownNameError(f"{message} {domain.file}")
+    taken = {other.lower() for other in domain.types}
+    if not is_name(name) or name.lower() in taken:
+        message = f"{name!r} cannot be added, expected a name that no object has"
+        raise UnknownNameError(f"{message}: a letter, then letters, digits, '_' or '-'")
+    return replace(domain, types={**domain.types, name: lineage})
+
+
+def without_object(domain: Domain, name: str) -> Domain:
+    """Return a domain without an object, and without the goals that name it.
+
+    Raises:
+        UnknownObjectError: there is no such object.
+        UnknownNameError: it is a ROSA action.
+    """
+    spelled = domain.spelling("object", name, name)
+    if ACTION_TYPE in domain.types[spelled]:
+        message = f"{spelled!r} is a ROSA action, which stays; the knowledge base says whether"
+        raise UnknownNameError(f"{message} it is feasible")
+    types = {other: lineage for other, lineage in domain.types.items() if other != spelled}
+    facts = frozenset(fact for fact in domain.facts if spelled not in arguments_of(fact))
+    goal = tuple(each for each in domain.goal if spelled not in constants_in(each))
+    return replace(domain, types=types, facts=facts, goal=goal)
+
+
+def is_name(word: str) -> bool:
+    """Whether a word can be a name: a letter, then letters, digits and marks; SkiROS2 uses `:`."""
+    marks = all(letter.isalnum() or letter in "_-.:" for letter in word)
+    return marks and word[:1].isalpha() and word.isascii()
+
+
+def initial_state(domain: Domain) -> State:
+    """Return the initial facts of the problem file, with what the file states about feasibility."""
+    stated = set(domain.facts)
+    for text, value in domain.numbers.items():
+        if head_of(text) in domain.computed:
+            stated.add(number_fact(text, value))
+    return frozenset(stated)
+
+
+def feasible_atoms(domain: Domain, kb: Feasibility) -> State:
+    """Return the facts `(action_feasible ?a)` that are true now by the knowledge base."""
+    atoms = [atom for atom, action in domain.feasibility.items() if kb.is_feasible(action)]
+    return frozenset(atoms)
+
+
+def without_feasibility(domain: Domain, state: State) -> State:
+    """Return a state without `(action_feasible ?a)`, which the knowledge base decides."""
+    return state.difference(domain.feasibility)
+
+
+# ---------------------------------------------------------------- atoms and numbers as text
+
+
+def atom_text(name: str, arguments: Iterable[str]) -> str:
+    """Return an atom, or a number, as text: `(at rover hall)`."""
+    return "(" + " ".join((name, *arguments)) + ")"
 
 
 def exact(value: float | Fraction) -> Exact:
-    """Return the exact value of a number as it is written in decimals, so that sums are exact: 0.1 is one tenth."""
+    """Return the exact value of a number as it is written in decimals: 0.1 is one tenth."""
     if isinstance(value, int):
         return value
     if isinstance(value, float) and value.is_integer() and abs(value) < _ALL_WHOLE:
@@ -449,36 +468,37 @@ def exact(value: float | Fraction) -> Exact:
     return written.numerator if written.denominator == 1 else written
 
 
+def number_text(value: Exact) -> str:
+    """Return a number in decimals if they are exact, else as a fraction such as `1/3`."""
+    value = exact(value)
+    if isinstance(value, Fraction) and Fraction(str(float(value))) == value:
+        return str(float(value))
+    return str(value)
+
+
 def number_fact(text: str, value: Exact) -> str:
-    """Return the fact that a number has a value: `(= (fuel rover) 80.5)`; a third is written `1/3`."""
-    known = exact(value)
-    is_decimal = isinstance(known, Fraction) and Fraction(str(float(known))) == known
-    return f"(= {text} {float(known) if is_decimal else known})"
+    """Return the fact that a number has a value: `(= (fuel rover) 80.5)`."""
+    return f"(= {text} {number_text(value)})"
 
 
 def numbers_in(facts: Iterable[str]) -> dict[str, Exact]:
     """Return the numbers of a state by their text."""
-    found = [atom[3:-1].rpartition(" ") for atom in facts if atom.startswith("(= ")]
-    return {text: exact(Fraction(value)) for text, _, value in found}
-
-
-def head_of(atom: str) -> str:
-    """Return the predicate of an atom, or the name in a numeric fact: `lit` for `(lit room)`."""
-    return subject_of(atom)[1:-1].split(" ", 1)[0]
-
-
-def atoms_in(formulas: Iterable[UpThing]) -> Iterator[UpThing]:
-    """Yield the atoms and numbers in unified-planning expressions; its own extractor is unsafe in several threads."""
-    for one in formulas:
-        if one.is_fluent_exp():
-            yield one
-        else:
-            yield from atoms_in(one.args)
+    values = dict[str, Exact]()
+    for fact in facts:
+        if fact.startswith("(= "):
+            text, _, value = fact[3:-1].rpartition(" ")
+            values[text] = exact(Fraction(value))
+    return values
 
 
 def subject_of(fact: str) -> str:
-    """Return what a fact is about: an atom itself, or the number whose value is stated, `(fuel rover)`."""
+    """Return what a fact is about: an atom itself, or the number whose value is stated."""
     return fact[3:-1].rpartition(" ")[0] if fact.startswith("(= ") else fact
+
+
+def head_of(fact: str) -> str:
+    """Return the predicate of an atom, or the name in a numeric fact: `lit` for `(lit room)`."""
+    return subject_of(fact)[1:-1].split(" ", 1)[0]
 
 
 def arguments_of(fact: str) -> list[str]:
@@ -486,15 +506,84 @@ def arguments_of(fact: str) -> list[str]:
     return subject_of(fact)[1:-1].split()[1:]
 
 
-def fluents_in(formulas: Iterable[UpThing]) -> set[UpThing]:
-    """Return the predicates and numbers that unified-planning expressions mention, as its fluents."""
-    return {atom.fluent() for atom in atoms_in(formulas)}
+# ---------------------------------------------------------------- formulas
 
 
-def conjuncts(formulas: Iterable[UpThing]) -> Iterator[UpThing]:
-    """Yield the parts of unified-planning expressions, with conjunctions split, without those that are just true."""
+def conjuncts(formulas: Iterable[Formula]) -> Iterator[Formula]:
+    """Yield the parts of formulas, with conjunctions split."""
     for formula in formulas:
-        if formula.is_and():
-            yield from conjuncts(formula.args)
-        elif not formula.is_true():
+        if formula[0] == "and":
+            yield from conjuncts(formula[1:])
+        else:
             yield formula
+
+
+def parts_of(formula: Formula) -> Iterator[Formula]:
+    """Yield a formula or number and all formulas and numbers in it."""
+    yield formula
+    head = formula[0]
+    if head in ("forall", "exists"):
+        yield from parts_of(formula[2])
+    elif head not in ("atom", "n", "same", "in"):
+        for part in formula[1:]:
+            if isinstance(part, tuple):
+                yield from parts_of(part)
+
+
+def names_in(formulas: Iterable[Formula]) -> set[str]:
+    """Return the predicates and numbers that formulas mention."""
+    names = set[str]()
+    for formula in formulas:
+        if isinstance(formula, tuple):
+            names.update(part[1] for part in parts_of(formula) if part[0] in ("atom", "n"))
+    return names
+
+
+def constants_in(formula: Formula) -> set[str]:
+    """Return the objects that a formula names."""
+    words = set[str]()
+    for part in parts_of(formula):
+        if part[0] in ("atom", "n"):
+            words.update(part[2])
+        elif part[0] == "same":
+            words.update(part[1:])
+    return {word for word in words if not word.startswith("?")}
+
+
+def bound(terms: Iterable[str], binding: Binding) -> list[str]:
+    """Return terms with their variables replaced by objects."""
+    return [binding.get(term, term) for term in terms]
+
+
+def text_of(formula: Any, binding: Binding | None = None) -> str:  # noqa: ANN401  # also numbers
+    """Return a formula or a number as PDDL text, with its variables replaced by objects."""
+    scope = binding or {}
+    if not isinstance(formula, tuple):
+        return number_text(formula)
+    head, *parts = formula
+    if head in ("atom", "n"):
+        return atom_text(parts[0], bound(parts[1], scope))
+    if head == "same":
+        return atom_text("=", bound(parts, scope))
+    if head == "in":
+        term = scope.get(parts[0], parts[0])
+        kinds = [f"(exists (?either - {kind}) (= {term} ?either))" for kind in parts[1]]
+        return atom_text("or", kinds)
+    if head in ("forall", "exists"):
+        variables, inner = parts
+        names = {name for name, _ in variables}
+        visible = {name: thing for name, thing in scope.items() if name not in names}
+        declared = " ".join(f"{name} - {kind}" for name, kind in variables)
+        return f"({head} ({declared}) {text_of(inner, visible)})"
+    texts = [text_of(part, scope) for part in parts]
+    if head == "or" and len(parts) == 2 and parts[0][0] == "not":
+        return atom_text("imply", [text_of(parts[0][1], scope), texts[1]])
+    return atom_text(head, texts)
+
+
+def duration_s(schema: Schema) -> float:
+    """Return the shortest declared duration [s]: 0 if instantaneous, infinite if not constant."""
+    if schema.duration is None:
+        return 0.0
+    shortest = schema.duration[0]
+    return inf if isinstance(shortest, tuple) else float(shortest)

@@ -1,7 +1,12 @@
-"""Executes plans with py_trees behaviours, and replans when the world or the goals no longer fit the plan."""
+"""Executes plans with py_trees behaviours, and replans when the world or the goals change.
+
+A tick goes through five stages: sense, believe, monitor, decide, act. `PlanExecutor._advance` is
+their list; each stage is a method of its own.
+"""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -14,15 +19,23 @@ from rosa_pddl.belief import (
     Sense,
     UnmetEffect,
 )
-from rosa_pddl.domain import Domain, Feasibility, State, Step
-from rosa_pddl.exceptions import MissingBehaviourError, UnknownNameError, nearest
-from rosa_pddl.goals import Goals
+from rosa_pddl.domain import Domain, Feasibility, State, Step, with_object, without_object
+from rosa_pddl.exceptions import (
+    MissingBehaviourError,
+    SensingError,
+    UnknownNameError,
+    UnsupportedPddlError,
+    nearest,
+)
+from rosa_pddl.grounding import binding_of
 from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor, shared_components
 from rosa_pddl.planner import Planner
-from rosa_pddl.problem import Problem, lock_of, unlock, with_object, without_object
+from rosa_pddl.problem import Problem
+from rosa_pddl.reader import conditions
 from rosa_pddl.replanning import (
     MEMORY,
     Decision,
+    Goals,
     PlannerClient,
     PlanningState,
     PlanRecord,
@@ -32,8 +45,15 @@ from rosa_pddl.replanning import (
     decide,
     news_of,
 )
-from rosa_pddl.syntax import conditions
-from rosa_pddl.validate import StepEvent, because, goal_holds, missing_at_end, missing_meanwhile
+from rosa_pddl.validate import (
+    StepEvent,
+    because,
+    changes,
+    goal_holds,
+    missing_at_end,
+    missing_meanwhile,
+    takes_s,
+)
 
 Factory = Callable[[Step], Behaviour]
 
@@ -44,36 +64,39 @@ _MOST_ROUNDS = 8
 class RunningStep:
     """A running step, with its number in the plan that is executed.
 
-    The executor lists it before `begin` makes its behaviour, so that the executor can release it after an interrupt at
-    any instant. If an interrupt stops `release` itself, `release` may be called again.
+    The executor lists it before `begin` makes its behaviour, so that the executor can release it
+    after an interrupt at any instant. If an interrupt stops `release` itself, it may be called
+    again.
     """
 
-    BOOKKEEPING = "began_s"
-
     def __init__(self, step: Step, number: int, began_s: float) -> None:
-        self.step, self.number, self.began_s = step, number, began_s
+        self.step = step
+        self.number = number
+        self.began_s = began_s
         self.behaviour: Behaviour | None = None
         self._is_midway = False
         self._set_up: list[Behaviour] = []
 
     def begin(self, factory: Factory, parent: Behaviour, arguments: Mapping[str, object]) -> None:
-        """Make the behaviour and set it up; an error of the factory or of `setup` gets a note that names the step."""
+        """Make the behaviour and set it up; an error gets a note that names the step."""
         try:
-            made = factory(self.step)
-            if not isinstance(made, Behaviour):
-                message = f"for {self.step} what was given for {self.step.schema!r} made {made!r}"
-                raise MissingBehaviourError(f"{message}, expected a py_trees behaviour")
-            self.behaviour = made
-            for node in made.iterate():
+            behaviour = factory(self.step)
+            if not isinstance(behaviour, Behaviour):
+                message = f"for {self.step} what is given for {self.step.schema!r} made"
+                raise MissingBehaviourError(
+                    f"{message} {behaviour!r}, expected a py_trees behaviour"
+                )
+            self.behaviour = behaviour
+            for node in behaviour.iterate():
                 self._set_up.append(node)
                 node.setup(**arguments)
         except Exception as error:
             error.add_note(f"it was raised when the behaviour of {self.step} was made")
             raise
-        made.parent = parent
+        behaviour.parent = parent
 
     def tick(self) -> tuple[Status, str, list[Behaviour]]:
-        """Tick the behaviour; return its status, its feedback message and the nodes that were ticked.
+        """Tick the behaviour; return its status, its feedback message and the ticked nodes.
 
         An exception in the behaviour of a step fails the step, never the tree.
         """
@@ -89,6 +112,7 @@ class RunningStep:
         return self.behaviour.status, self.behaviour.feedback_message, ticked
 
     def release(self) -> None:
+        """Stop the behaviour if it runs, and shut its nodes down."""
         if self.behaviour is not None:
             if self._is_midway or self.behaviour.status == Status.RUNNING:
                 self._stop(self.behaviour)
@@ -102,7 +126,7 @@ class RunningStep:
             self._set_up.pop()
 
     def _stop(self, behaviour: Behaviour) -> None:
-        # if an interrupt cut a tick short, nodes below may have begun work although they are not RUNNING yet
+        # if an interrupt cut a tick short, nodes below may have begun work and not be RUNNING yet
         was_midway, self._is_midway = self._is_midway, True
         for node in behaviour.iterate() if was_midway else (behaviour,):
             try:
@@ -114,18 +138,17 @@ class RunningStep:
 
 
 def _check_factories(domain: Domain, behaviours: Mapping[str, Factory]) -> None:
-    given = ", ".join(sorted(behaviours)) or "none"
+    names = ", ".join(sorted(behaviours)) or "none"
     for schema in domain.schemas:
         if schema not in behaviours:
-            message = (
-                f"no behaviour for the PDDL action {schema!r} of {domain.file}; given: {given}"
+            message = f"no behaviour for the PDDL action {schema!r} of {domain.file}"
+            raise MissingBehaviourError(
+                f"{message}; given: {names} ({nearest(schema, behaviours)})"
             )
-            raise MissingBehaviourError(f"{message} ({nearest(schema, behaviours)})")
         if not callable(behaviours[schema]):
             message = f"no behaviour can be made for {schema!r} from {behaviours[schema]!r}"
-            raise MissingBehaviourError(
-                f"{message}; expected what makes one for each step, such as a lambda"
-            )
+            advice = "expected what makes one for each step, such as a lambda"
+            raise MissingBehaviourError(f"{message}; {advice}")
     for name in behaviours:
         if name not in domain.schemas:
             message = (
@@ -135,11 +158,10 @@ def _check_factories(domain: Domain, behaviours: Mapping[str, Factory]) -> None:
 
 
 class PlanExecutor(Behaviour):
-    """Plans for the goals and executes the plan: one step at a time, or in the causal order of a temporal plan.
+    """Plans for the goals and executes the plan: step by step, or as a temporal plan says.
 
-    It is RUNNING while it plans and while steps run, SUCCESS when the goals hold, and FAILURE when there is no plan.
-    After a FAILURE, the next tick plans again only if something has changed.
-
+    It is RUNNING while it plans and while steps run, SUCCESS when the goals hold, and FAILURE when
+    there is no plan. After a FAILURE, the next tick plans again only if something has changed.
     docs/pddl.md says when it replans and what it believes.
 
     Args:
@@ -147,13 +169,13 @@ class PlanExecutor(Behaviour):
         kb: says which ROSA actions are feasible.
         domain: what `load_domain` returned.
         behaviours: for each PDDL action, a factory that makes the behaviour of a step.
-        sense: returns what is sensed now: whether facts such as `(lit room)` hold, and the values of numeric facts that
-            costs depend on, such as `{"(length a b)": 3.5}`; others keep their values. Called several times a tick.
+        sense: returns what is sensed now: whether facts such as `(lit room)` hold, and the values
+            of numeric facts, such as `{"(length a b)": 3.5}`. Called several times a tick.
         clock: returns the time [s].
-        planner: plans in the background; by default Fast Downward.
-        delay_s: the executor takes the planner's answer this long after the request [s], however long planning took, so
-            that every run of a simulation is the same; None to take it as soon as it is there, in the tick of the
-            request if the planner answers at once.
+        planner: plans in the background; by default `Planner()`.
+        delay_s: the executor takes the planner's answer this long after the request [s], however
+            long planning took, so that every run of a simulation is the same; None to take it as
+            soon as it is there, in the tick of the request if the planner answers at once.
         policy: when to replan, and what happens to running steps meanwhile.
         memory: how many plannings `plans` keeps; the oldest are forgotten.
 
@@ -162,13 +184,11 @@ class PlanExecutor(Behaviour):
 
     Raises:
         PddlError: the knowledge base does not know a ROSA action of the domain.
-        MissingBehaviourError: a PDDL action has no behaviour factory, or one that cannot be called.
+        MissingBehaviourError: a PDDL action has no behaviour factory, or one that is no function.
         UnknownNameError: a behaviour is given for a PDDL action that the domain does not have.
+        SensingError: `sense` is no function.
+        UnsupportedPddlError: the files can be planned for but not executed.
     """
-
-    BOOKKEEPING = (
-        "_cause _took_s _findings _ticked _found_valid _factories _setup_arguments _policy"
-    )
 
     def __init__(
         self,
@@ -185,14 +205,26 @@ class PlanExecutor(Behaviour):
         memory: int = MEMORY,
     ) -> None:
         super().__init__(name)
+        why = domain.only_planned
+        if domain.timed:
+            why = f"{domain.timed[0].atom} changes by itself; let it be sensed"
+        if why:
+            message = f"it can be planned for, but not executed: {why}"
+            raise UnsupportedPddlError(message, domain.file)
+        if not callable(sense):
+            message = f"sense is {sense!r}, expected a function that returns what is sensed"
+            raise SensingError(f"{message}, such as lambda: {{'(lit room)': True}}")
         self._findings = domain.check(kb)
         _check_factories(domain, behaviours)
         self.goals = Goals(domain)
-        self._domain, self._factories = domain, dict(behaviours)
+        self._domain = domain
+        self._factories = dict(behaviours)
         self._policy = policy or ReplanningPolicy()
         self._owns_planner = planner is None
         self._planner: PlansAhead = Planner() if planner is None else planner
+        self._kb: Any = kb
         self._belief = Belief(domain, kb, sense)
+        self._numbers = self._belief.numbers
         self._effects = ExpectedEffects(domain, kb)
         self._feasibility = FeasibilityEvents(domain, kb)
         forecasts = kb.forecasts if isinstance(kb, LastingFeasibility) else dict
@@ -202,10 +234,11 @@ class PlanExecutor(Behaviour):
         self._replanning = Replanning(
             self.goals, self._monitor, self._client, self._policy, clash, memory
         )
-        self._setbacks = self._replanning.setbacks
+        self._backoff = self._replanning.backoff
         self._setup_arguments: dict[str, object] = {}
         self._running: list[RunningStep] = []
         self._ended_meanwhile: list[Step] = []
+        self._unseen: dict[Step, tuple[State, int]] = {}
         self._plan: PlanExecution | None = None
         self._found_valid: tuple[PlanExecution, PlanningState] | None = None
         self._seen_goals = self.goals.version
@@ -217,98 +250,96 @@ class PlanExecutor(Behaviour):
         self._switches = 0
         self._is_midway = False
 
+    # ------------------------------------------------------------ what users ask
+
     @property
     def state(self) -> State:
-        """The state as it is believed now: facts, numbers such as `(= (fuel rover) 80)`, and feasible actions."""
+        """The state as it is believed now: facts, numbers, and feasible actions."""
         return self._belief.observe()
 
     def holds(self, text: str) -> bool:
-        """Whether a condition such as `(and (lit hall) (>= (fuel rover) 20))` holds now, as it is believed.
+        """Whether a condition such as `(and (lit hall) (>= (fuel rover) 20))` is believed to hold.
 
-        Raises PddlError if the text is not PDDL, and UnknownNameError if the domain does not have a name in it.
+        Raises PddlError if the text is not PDDL, UnknownNameError for a name that there is not.
         """
-        with lock_of(self._domain):
-            asked = [one.expression for one in conditions(self._domain, text)]
-        return goal_holds(self._domain, self.state, asked)
+        goals = [goal.expression for goal in conditions(self._domain, text)]
+        return goal_holds(self._domain, self.state, goals)
 
     def objects(self, type_name: str) -> tuple[str, ...]:
-        """The objects of a type and of its subtypes, in the order of the files and then of their appearance."""
+        """The objects of a type and of its subtypes, in the order of files and appearance."""
         return self._domain.objects_of(self._domain.spelling("type", type_name, type_name))
 
     def add_object(self, name: str, type_name: str) -> None:
-        """Add an object that has appeared; call it between ticks. Raises UnknownNameError if it cannot be added."""
+        """Add an object that has appeared; call it between ticks. Raises as `with_object`."""
         self._use(with_object(self._domain, name, type_name))
 
     def remove_object(self, name: str) -> None:
-        """Remove an object and stop the steps that use it, between ticks; UnknownNameError if it cannot be removed."""
-        domain, name = (
-            without_object(self._domain, name),
-            self._domain.spelling("object", name, name),
-        )
-        self._release([one for one in self._running if name in one.step.arguments])
+        """Remove an object, its goals, and the steps that use it; call it between ticks.
+
+        Raises UnknownNameError if it cannot be removed.
+        """
+        spelled = self._domain.spelling("object", name, name)
+        domain = without_object(self._domain, name)
+        self._release([each for each in self._running if spelled in each.step.arguments])
         self._use(domain)
-        if self._plan is not None and any(
-            name in step.arguments for step in self._plan.unfinished_steps
-        ):
-            self._want(Decision(f"{name} is gone", is_needed=True))
+        unfinished = () if self._plan is None else self._plan.unfinished_steps
+        if any(spelled in step.arguments for step in unfinished):
+            self._want(Decision(f"{spelled} is gone", is_needed=True))
 
     def _use(self, domain: Domain) -> None:
-        with lock_of(domain):
-            self._domain = domain
-            for part in (self._belief, self._effects, self.goals):
-                part.use(domain)
-            if self._client.is_under_way:
-                self._replanning.want(Decision("the objects changed", is_needed=True))
+        self._domain = domain
+        self._belief.use(domain)
+        self._effects.use(domain)
+        self.goals.use(domain)
+        self._unseen.clear()
+        if self._client.is_under_way:
+            self._replanning.want(Decision("the objects changed", is_needed=True))
         self._found_valid = self._expected = None
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """Likely mistakes in the domain, see `Domain.check`, and names that are sensed but not in the domain."""
-        return (*self._findings, *self._belief.passed_over)
+        """Likely mistakes in the domain, and names that are sensed but not in the domain."""
+        return (*self._findings, *self._belief.ignored_percepts)
 
     @property
     def plans(self) -> tuple[PlanRecord, ...]:
-        """The records of the last plannings that were answered: when, why and with what result; the oldest go first."""
+        """The records of the last plannings that were answered; the oldest go first."""
         return self._replanning.records
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """The goals that are left out for now, as they cannot be reached."""
+        return tuple(goal.text for goal in self._replanning.left_out)
 
     @property
     def current_steps(self) -> tuple[Step, ...]:
         """The steps that run, in the order in which they started."""
         return tuple(running.step for running in self._running)
 
-    @property
-    def waits_for_news(self) -> bool:
-        """Whether the next tick does no more than tick the running steps, unless there is news, whatever the time."""
-        is_going_on = self.status == Status.RUNNING and not self._replanning.is_busy
-        is_planned = not self._replanning.had_no_plan and not self._setbacks.weights
-        return (
-            is_going_on
-            and is_planned
-            and self.goals.version == self._seen_goals
-            and not self._monitor.is_forecast
-        )
+    # ------------------------------------------------------------ what py_trees calls
 
     def catch_up(self) -> None:
-        """Wait for the planner's answer if it is due by now; for lock-step simulation, called before the tick.
+        """Wait for the planner's answer if it is due by now; called before a tick in lock-step.
 
         Raises PlanningBudgetError if the answer needs more wall-clock time than the planner allows.
         """
         self._client.catch_up()
 
-    def wait_no_more(self) -> None:
-        """End all pauses and forget all failures, so that the next tick may plan and may begin any step."""
-        self._replanning.wait_no_more()
+    def reset_backoff(self) -> None:
+        """End all pauses and forget all failures, so that the next tick may plan and begin steps."""
+        self._replanning.reset_backoff()
 
     def setup(self, **kwargs: object) -> None:
-        """Let the planner start to prepare, and keep the arguments for the steps; called once before the first tick."""
+        """Let the planner start to prepare; called once before the first tick."""
         self._setup_arguments = kwargs
         if isinstance(self._planner, Planner):
             problem = Problem(self._domain, self._belief.observe())
             self._planner.prepare(problem, self._belief.sensed.facts)
 
     def initialise(self) -> None:
-        """Forget the plan of the last round but keep the believed state; called on the first tick of a round."""
+        """Forget the plan of the last round but keep the believed state; called on a new round."""
         self._drop_plan()
+        self._replanning.left_out = ()
 
     def tick(self) -> Iterator[Behaviour]:
         """Tick, and also yield the ticked nodes of the steps, so that visitors see them."""
@@ -319,21 +350,22 @@ class PlanExecutor(Behaviour):
     def update(self) -> Status:
         """Sense, run the steps and replan if necessary; called on each tick, never waits."""
         self._ticked = []
-        if self._is_midway:  # an interrupt cut the previous tick, or `_drop_plan`, short
-            unlock(self._domain)
+        if self._is_midway:
+            # an interrupt cut the last tick short: what it had seen may not have been acted on
             self._drop_plan()
+            self._replanning.forget_failures()
         self._is_midway = True
         try:
             status = self._advance()
         except BaseException:
-            unlock(self._domain)
             self._drop_plan()
+            self._replanning.forget_failures()
             raise
         self._is_midway = False
         return status
 
     def terminate(self, new_status: Status) -> None:
-        """Stop the running steps, and give up the plan and planning; called when the round ends or is interrupted."""
+        """Stop the running steps, and give up plan and planning; called when the round ends."""
         self._drop_plan()
 
     def shutdown(self) -> None:
@@ -348,69 +380,144 @@ class PlanExecutor(Behaviour):
         """Return the node that ran last: the one of the first running step, if a step runs."""
         return self.children[0].tip() if self.children else super().tip()
 
+    # ------------------------------------------------------------ the five stages of a tick
+
     def _advance(self) -> Status:
-        self._cause = self._feasibility.latest()
-        for name, kind, is_there in tuple(self._belief.appeared()):
-            self.add_object(name, kind) if is_there else self.remove_object(name)
-        self._watch(self._belief.observe())
+        self._sense()
+        state = self._belief.observe()
+        self._monitor_steps(state)
+        self._monitor_plan(state)
         self._tick_steps(tuple(self._running))
-        self._take_plan()
-        status = self._go_on()
+        self._take_answer()
+        status = self._act_and_decide()
         rounds = _MOST_ROUNDS
         while status == Status.RUNNING and self._client.was_answered_at_once and rounds:
-            self._take_plan()
-            status, rounds = self._go_on(), rounds - 1
+            self._take_answer()
+            status = self._act_and_decide()
+            rounds -= 1
         return status
 
-    def _go_on(self) -> Status:
+    def _sense(self) -> None:
+        """Find out which event changed feasibility, and which objects came and went."""
+        self._cause = self._feasibility.latest()
+        for name, kind, is_there in tuple(self._belief.appeared()):
+            if is_there:
+                self.add_object(name, kind)
+            else:
+                self.remove_object(name)
+        if self._belief.numbers is not self._numbers:
+            domain = self._domain.with_numbers(self._belief.numbers)
+            if domain is not self._domain:  # numbers on which plans depend have changed
+                self._domain = self._belief.domain = domain
+                self._effects.use(domain)
+                self._found_valid = None
+            self._numbers = self._belief.numbers
+
+    def _monitor_steps(self, state: State) -> None:
+        """Stop the steps that cannot go on, or that take far too long."""
+        if self._effects.update():
+            self._found_valid = None
+        for step, (missing, _) in tuple(self._unseen.items()):
+            if missing <= state:  # what a step should bring about is seen after all
+                self._backoff.forget(step)
+                del self._unseen[step]
+        for running in tuple(self._running):
+            missing_condition = missing_meanwhile(self._domain, running.step, state)
+            if missing_condition is not None:
+                self._release([running])
+                reason = because(self._domain, running.step, missing_condition, verb="became")
+                is_unfeasible = self._domain.is_feasibility(missing_condition)
+                cause = self._cause if is_unfeasible else None
+                self._want(Decision(reason, is_needed=True, cause=cause))
+                continue
+            limit_s = self._expected_s(running.step) * self._policy.overrun
+            passed_s = self._clock() - running.began_s
+            if limit_s and passed_s > limit_s:
+                self._fail(running, f"{running.step} takes longer than {limit_s:.3g} s")
+
+    def _monitor_plan(self, state: State) -> None:
+        """Check whether the plan still works, and whether a better one may be possible."""
+        goals_changed = self.goals.version != self._seen_goals
+        if goals_changed:
+            self._replanning.goals_changed(is_needed=self._plan is None)
+            if self._plan is not None:
+                hard, soft = self._replanning.hard, self.goals.soft
+                self._plan = self._monitor.aimed(self._plan, state, hard, soft)
+        if self._plan is not None:
+            flaw = self._flaw(self._plan, self._belief.observe())
+            now = state, self._belief.numbers
+            news = news_of(self._expected, now, self._replanning.matters)
+            decision = decide(self._policy, flaw=flaw, goals_changed=goals_changed, news=news)
+            if decision is not None and not goals_changed:
+                decision = replace(decision, cause=self._cause)
+            self._want(decision)
+        self._seen_goals = self.goals.version
+
+    def _act_and_decide(self) -> Status:
+        """Start the steps that may start, then decide what to ask and how the tick ends."""
         while self._tick_steps(self._start_ready()):
             pass
         state = self._belief.observe()
         self._expected = (state, self._belief.numbers) if self._policy.eager else None
-        return self._conclude(state)
+        return self._decide(state)
 
-    def _watch(self, state: State) -> None:
-        """Stop the steps that cannot go on, and check whether the plan still works."""
-        if self._effects.update():
-            self._found_valid = None
-        goals_changed, self._seen_goals = self.goals.version != self._seen_goals, self.goals.version
-        if goals_changed:
-            self._replanning.goals_changed(is_needed=self._plan is None)
-            if self._plan is not None:
-                self._plan = self._monitor.aimed(self._plan, state, self.goals)
-        for running in tuple(self._running):
-            missing = missing_meanwhile(self._domain, running.step, state)
-            if missing is not None:
-                self._release([running])
-                reason = because(self._domain, running.step, missing, verb="became")
-                cause = self._cause if self._domain.is_feasibility(missing) else None
-                self._want(Decision(reason, is_needed=True, cause=cause))
-        if self._plan is not None:
-            flaw = self._flaw(self._plan, self._belief.observe())
-            news = news_of(self._expected, (state, self._belief.numbers), self._replanning.matters)
-            decision = decide(self._policy, flaw=flaw, goals_changed=goals_changed, news=news)
-            self._want(
-                decision
-                if decision is None or goals_changed
-                else replace(decision, cause=self._cause)
-            )
+    def _decide(self, state: State) -> Status:
+        """Return the status of the tick, and ask the planner for a plan if one is wanted."""
+        replanning = self._replanning
+        if not self._running and self._is_over(state):
+            if not replanning.left_out:
+                self._drop_plan()
+                self.feedback_message = "the goal holds"
+                return Status.SUCCESS
+            if not replanning.is_busy:
+                self._plan = None
+                replanning.try_left_out()
+        planned_from = self._belief.unstarted(self._running, state)
+        if not replanning.is_busy and (self._plan is None or self._plan.is_finished):
+            why = replanning.why_no_plan(planned_from)
+            if why is not None:
+                self._drop_plan()
+                self.feedback_message = why
+                return Status.FAILURE
+            decision = Decision("start", is_needed=True)
+            if replanning.had_no_plan:
+                decision = Decision("the state changed", is_needed=True, cause=self._cause)
+            self._want(decision)
+        asked = replanning.ask_if_allowed(planned_from, self._shares_left())
+        if asked is not None:
+            self._ended_meanwhile.clear()
+            self.feedback_message = asked
+        elif not replanning.is_busy:
+            self.feedback_message = ", ".join(self._activities())
+        return Status.RUNNING
+
+    def _is_over(self, state: State) -> bool:
+        """Whether all goals hold, or the plan is finished and gave up only soft goals."""
+        wanted = self._replanning.hard
+        if self._plan is None or not self._plan.is_finished:
+            wanted += self.goals.soft
+        return self._monitor.holding(wanted, state) == wanted
+
+    def _activities(self) -> Iterator[str]:
+        for step in self.current_steps:
+            yield str(step)
+        if not self._running and self._plan is not None:
+            for number in self._plan.startable:
+                step = self._plan.steps[number]
+                yield f"{step} again in {self._backoff.wait_s(step):.2g} s, as it failed"
+
+    # ------------------------------------------------------------ plans
 
     def _flaw(self, plan: PlanExecution, state: State) -> str | None:
-        """Return in words why the rest of the plan no longer works; checked again only when something has changed."""
+        """Return in words why the rest of the plan no longer works; checked if news is there."""
         now = (state, self._belief.numbers)
-        if (
-            self._found_valid is None
-            or self._found_valid[0] is not plan
-            or self._found_valid[1] != now
-        ):
-            if (
-                self._replanning.had_no_plan
-                and self._replanning.why_no_plan(self._unstarted(state)) is None
-            ):
-                return "the state changed"
-            flaw = plan.prediction(self._effects.domain, state).flaw or self._monitor.overspent(
-                plan
-            )
+        valid = self._found_valid
+        if valid is None or valid[0] is not plan or valid[1] != now:
+            planned_from = self._belief.unstarted(self._running, state)
+            if self._replanning.had_no_plan:
+                if self._replanning.why_no_plan(planned_from) is None:
+                    return "the state changed"
+            flaw = plan.prediction(self._effects.domain, state).flaw
             self._found_valid = (plan, now) if flaw is None else None
             if flaw is not None:
                 return flaw
@@ -426,51 +533,15 @@ class PlanExecutor(Behaviour):
             if self._policy.while_planning == "hold":
                 self._release(self._running)
 
-    def _conclude(self, state: State) -> Status:
-        """Return the status of the tick, and ask the planner for a plan if one is wanted."""
-        if not self._running and self._monitor.is_over(state, self.goals, self._plan):
-            self._drop_plan()
-            self.feedback_message = "the goal holds"
-            return Status.SUCCESS
-        planned_from = self._unstarted(state)
-        if not self._replanning.is_busy and (self._plan is None or self._plan.is_finished):
-            why = self._replanning.why_no_plan(planned_from)
-            if why is not None:
-                self._drop_plan()
-                self.feedback_message = why
-                return Status.FAILURE
-            changed = Decision("the state changed", is_needed=True, cause=self._cause)
-            self._want(
-                changed if self._replanning.had_no_plan else Decision("start", is_needed=True)
-            )
-        asked = self._replanning.ask_if_allowed(planned_from, self._shares_left())
-        if asked is not None:
-            self._ended_meanwhile.clear()
-            self.feedback_message = asked
-        elif not self._replanning.is_busy:
-            waiting = [] if self._running or self._plan is None else self._plan.startable
-            steps = (
-                [self._plan.steps[number] for number in waiting] if self._plan is not None else []
-            )
-            doing = [str(step) for step in self.current_steps]
-            doing += [
-                f"{step} again in {self._setbacks.wait_s(step):.2g} s, as it failed"
-                for step in steps
-            ]
-            self.feedback_message = ", ".join(doing)
-        return Status.RUNNING
-
-    def _unstarted(self, state: State) -> State:
-        """Return the state to plan from: without the running steps, so that the plan may start with these."""
-        return self._belief.unstarted(self._running, state)
-
-    def _take_plan(self) -> None:
+    def _take_answer(self) -> None:
+        """Take the planner's answer, if it is due: a new plan, if it is better than the old one."""
         if not self._client.has_answer:
             return
-        found = self._replanning.take(self._unstarted(self._belief.observe()))
-        if found is None:
+        state = self._belief.observe()
+        answer = self._replanning.take(self._belief.unstarted(self._running, state))
+        if answer is None:
             return
-        plan, decision = self._with_what_ended(found[0]), found[1]
+        plan, decision = self._with_what_ended(answer[0]), answer[1]
         kept: dict[int, RunningStep] = {}
         for running in self._running:
             number = plan.starts_with(running.step)
@@ -478,14 +549,15 @@ class PlanExecutor(Behaviour):
                 kept[number] = running
                 plan = plan.with_event(StepEvent(number, False))
         others = [running for running in self._running if running not in kept.values()]
-        state = self._belief.observe()
-        after = self._belief.unstarted(others, state)
         old = None if decision.is_needed else self._plan
-        self._switches = 0 if old is None else self._switches
-        if old is not None:
-            margin, weights = self._policy.hysteresis * (1 + self._switches), self._setbacks.weights
-            both = (plan, after), (old, state)
-            if not self._monitor.is_better(*both, self.goals, self._shares_left(), weights, margin):
+        if old is None:
+            self._switches = 0
+        else:
+            after = self._belief.unstarted(others, state)
+            margin = self._policy.hysteresis * (1 + self._switches)
+            shares, weights = self._shares_left(), self._backoff.weights
+            pair = (plan, after), (old, state)
+            if not self._monitor.is_better(*pair, self.goals.soft, shares, weights, margin):
                 return
             self._switches += 1
         self._release(others)
@@ -494,28 +566,35 @@ class PlanExecutor(Behaviour):
         self._plan = plan
 
     def _with_what_ended(self, plan: PlanExecution) -> PlanExecution:
-        """Return the plan with those of its first steps marked as done that succeeded while it was made."""
+        """Return the plan with those first steps marked as done that succeeded meanwhile."""
         for step in self._ended_meanwhile:
             number = plan.starts_with(step)
             if number is not None:
                 plan = plan.with_event(StepEvent(number, False), StepEvent(number, True))
         return plan
 
+    def _drop_plan(self) -> None:
+        self._is_midway = True
+        self._plan = self._found_valid = self._expected = None
+        self._replanning.forget()
+        self._release(self._running)
+        self.children = []
+        self._is_midway = False
+
+    # ------------------------------------------------------------ steps
+
     def _start_ready(self) -> tuple[RunningStep, ...]:
         begun: list[RunningStep] = []
         while self._plan is not None and self._plan.startable:
             state = self._belief.observe()
-            if self._monitor.is_over(state, self.goals, self._plan):
+            if self._is_over(state):
                 break
             flaw = self._flaw(self._plan, state)
             if flaw is not None:
                 self._want(Decision(flaw, is_needed=True))
                 break
-            rested = [
-                one
-                for one in self._plan.startable
-                if not self._setbacks.wait_s(self._plan.steps[one])
-            ]
+            steps = self._plan.steps
+            rested = [n for n in self._plan.startable if not self._backoff.wait_s(steps[n])]
             if not rested:
                 break
             begun.append(self._begin(self._plan, rested[0], state))
@@ -539,75 +618,89 @@ class PlanExecutor(Behaviour):
                 continue
             status, text, ticked = running.tick()
             self._ticked += ticked
-            if status == Status.RUNNING:
-                continue
-            failure = ": ".join(filter(None, [f"{running.step} failed", text]))
-            wrong = self._ended(running) if status == Status.SUCCESS else failure
-            if wrong is not None:
-                self._release([running])
-                self._setbacks.add(running.step)
-                self._want(Decision(wrong, is_needed=True))
-            any_ended |= wrong is None
+            if status == Status.SUCCESS:
+                wrong = self._end(running)
+                any_ended |= wrong is None
+                if wrong is not None:
+                    self._fail(running, wrong)
+            elif status != Status.RUNNING:
+                self._fail(running, ": ".join(filter(None, [f"{running.step} failed", text])))
         return any_ended
 
-    def _ended(self, running: RunningStep) -> str | None:
-        """Believe the effects of a step that succeeded, or return why it cannot have succeeded."""
+    def _fail(self, running: RunningStep, reason: str) -> None:
+        """Release a step that failed, and count the failure."""
+        self._release([running])
+        self._backoff.add(running.step)
+        self._want(Decision(reason, is_needed=True))
+
+    def _end(self, running: RunningStep) -> str | None:
+        """Believe the effects of a step that succeeded; return why it cannot have, or None."""
         step, state = running.step, self._belief.observe()
         missing = missing_at_end(self._domain, step, state)
         if missing is not None:
             return f"{step} ended although {missing} does not hold"
         self._belief.end(running, step, state)
         self._took_s[step.schema] = self._clock() - running.began_s
-        self._setbacks.forget(step)
         self._release([running])
         if self._plan is not None:
             self._plan = self._plan.with_event(StepEvent(running.number, True))
         if self._client.is_under_way:
             self._ended_meanwhile.append(step)
+        self._look_for_effects(step, state)
         unmet = self._effects.ended(step, state)
         if unmet and self._plan is not None:
             self._rely_no_more(self._plan, unmet)
         return None
 
+    def _look_for_effects(self, step: Step, before: State) -> None:
+        """Leave out a step whose effect is not seen, too many times in a row, as if it failed."""
+        schema = self._domain.schema_of[step.schema]
+        binding = binding_of(self._domain, step)
+        _, added = changes(self._domain, schema.end_effects, binding, before)
+        atoms = {atom for atom in added if atom in self._belief.sensed.facts}
+        missing = atoms - self._belief.observe()
+        if not missing:
+            self._backoff.forget(step)
+            self._unseen.pop(step, None)
+            return
+        count = self._unseen.get(step, (missing, 0))[1] + 1
+        self._unseen[step] = frozenset(missing), count
+        if count > self._policy.retries:
+            self._backoff.use_up(step)
+            reason = f"{step} did not bring {min(missing)} about {count} times"
+            self._want(Decision(reason, is_needed=True))
+
     def _rely_no_more(self, plan: PlanExecution, unmet: Iterable[UnmetEffect]) -> None:
-        """Replan if the rest of the plan needs an action that a step did not make feasible as expected."""
+        """Replan if the rest of the plan needs an action that a step did not make feasible."""
         domain, state = self._effects.domain, self._belief.observe()
-        expected = state | {self._domain.feasible_atom(one.action) for one in unmet}
-        if (
-            plan.prediction(domain, state).flaw is not None
-            and plan.prediction(domain, expected).flaw is None
-        ):
+        expected = state | {self._domain.feasible_atom(each.action) for each in unmet}
+        is_flawed = plan.prediction(domain, state).flaw is not None
+        if is_flawed and plan.prediction(domain, expected).flaw is None:
             self._want(Decision("; ".join(map(str, unmet)), is_needed=True))
 
     def _release(self, steps: Iterable[RunningStep]) -> None:
-        """Stop steps that still run, take back the effects believed since their start, and release them."""
+        """Stop steps that still run, take back what their starts made believed, release them."""
         for running in tuple(steps):
             running.release()
-            self._belief.give_up(running, running.step)
+            self._belief.give_up(running)
             self._running.remove(running)
             self._show_children()
 
     def _show_children(self) -> None:
-        self.children = [
-            running.behaviour for running in self._running if running.behaviour is not None
-        ]
+        behaviours = [running.behaviour for running in self._running]
+        self.children = [behaviour for behaviour in behaviours if behaviour is not None]
+
+    def _expected_s(self, step: Step) -> float:
+        """Return how long a step is expected to take [s]: as declared for its arguments."""
+        declared_s = takes_s(self._domain, step, self._belief.observe(), self._belief.numbers)
+        return declared_s or self._took_s.get(step.schema, 0.0)
 
     def _shares_left(self) -> Mapping[Step, float]:
-        """Return which share of each running step is left, by how long such a step last took or is declared."""
-        now_s, shares = self._clock(), dict[Step, float]()
+        """Return which share of each running step is left, by how long such a step last took."""
+        shares = dict[Step, float]()
         for running in self._running:
-            whole_s = self._took_s.get(
-                running.step.schema, self._domain.duration_s(running.step.schema)
-            )
-            shares[running.step] = (
-                max(1.0 - (now_s - running.began_s) / whole_s, 0.0) if whole_s else 1.0
-            )
+            whole_s = self._took_s.get(running.step.schema, 0.0)
+            whole_s = whole_s or self._expected_s(running.step)
+            passed_s = self._clock() - running.began_s
+            shares[running.step] = max(1.0 - passed_s / whole_s, 0.0) if whole_s else 1.0
         return shares
-
-    def _drop_plan(self) -> None:
-        self._is_midway = True
-        self._plan = self._found_valid = self._expected = None
-        self._replanning.forget()
-        self._release(self._running)
-        self.children = []
-        self._is_midway = False

@@ -1,30 +1,28 @@
-"""How far a plan is executed, in which order its steps may start, and whether the rest still works."""
+"""How far a plan is executed, in which order its steps may start, and whether the rest works."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import chain
-from math import inf
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from kb.forecast import FeasibleUntil
 from rosa_pddl.belief import Belief, ExpectedEffects
-from rosa_pddl.domain import Domain, Feasibility, PlanningResult, State, Step, TimedStep
-from rosa_pddl.exceptions import UnsupportedPddlError
-from rosa_pddl.goals import Goals
-from rosa_pddl.problem import Problem
-from rosa_pddl.resource_usage import usage_of
-from rosa_pddl.syntax import Goal
+from rosa_pddl.domain import Domain, Effect, Feasibility, State, Step
+from rosa_pddl.grounding import binding_of
+from rosa_pddl.problem import PlanningResult, Problem
+from rosa_pddl.reader import Goal
 from rosa_pddl.validate import (
+    Clash,
     StepEvent,
+    TimedStep,
     affected_atoms,
-    binding_of,
     goal_holds,
     mentioned_atoms,
     moments,
     one_after_the_other,
     replay,
+    step_costs,
+    takes_s,
 )
 
 # Costs are sums of floats; a difference below this counts as none.
@@ -33,24 +31,25 @@ _SAME_COST = 1e-9
 _LONGER = 1.1
 
 _Touched = tuple[frozenset[str], frozenset[str]]
-_Forecasts = Callable[[], Mapping[str, FeasibleUntil]]
-Clash = Callable[[Step, Step], bool]
-"""Tells whether two steps must not run at the same time, whatever their conditions and effects are."""
+_Forecasts = Callable[[], Mapping[str, Any]]
 
 
 def shared_components(kb: Feasibility) -> Clash:
-    """Return a function that tells whether two steps may need the same component, in any design of their functions."""
+    """Return a function: whether two steps may need the same component, in any design."""
 
     @cache
     def components(action: str | None) -> frozenset[str]:
         functions, designs = (getattr(kb, kind, {}) for kind in ("functions", "designs"))
         required = getattr(kb.actions[action], "functions", ()) if action is not None else ()
-        chosen = (designs[design] for name in required for design in functions[name].designs)
-        return frozenset(component for design in chosen for component in design.components)
+        names = set[str]()
+        for function in required:
+            for design in functions[function].designs:
+                names.update(designs[design].components)
+        return frozenset(names)
 
-    def clash(one: Step, other: Step) -> bool:
-        is_same = one.action is not None and one.action == other.action
-        return is_same or bool(components(one.action) & components(other.action))
+    def clash(step: Step, other: Step) -> bool:
+        is_same = step.action is not None and step.action == other.action
+        return is_same or bool(components(step.action) & components(other.action))
 
     return clash
 
@@ -83,27 +82,28 @@ class PlanExecution:
         goals: tuple[Goal, ...],
         clash: Clash | None = None,
     ) -> "PlanExecution":
-        """Order a plan: a schedule by what its steps need from one another, other plans one step after the other.
+        """Order a plan: a schedule by what its steps need, others one step after the other.
 
-        If `clash` is given, a step of an unscheduled plan waits only for the earlier steps with which it clashes or
-        interferes, which means that one of the two changes what the other needs or changes. All orders that this
-        allows have the same result.
+        If `clash` is given, a step of an unscheduled plan waits only for the earlier steps with
+        which it clashes or interferes: one of the two changes what the other needs or changes.
+        All orders that this allows have the same result.
         """
         if result.schedule:
             return _scheduled(domain, result.schedule, goals)
         steps = result.steps
         touched = [_touched(domain, step) for step in steps] if clash else []
-        after = []
+        after = list[frozenset[StepEvent]]()
         for number, step in enumerate(steps):
-            before = range(max(number - 1, 0), number) if clash is None else range(number)
-            waits = [
-                one
-                for one in before
-                if clash is None
-                or clash(steps[one], step)
-                or _interfere(touched[one], touched[number])
-            ]
-            after.append(frozenset(StepEvent(one, True) for one in waits))
+            waits = set[StepEvent]()
+            for before in range(number):
+                if clash is None:
+                    must_wait = before == number - 1
+                else:
+                    must_wait = _interfere(touched[before], touched[number])
+                    must_wait = must_wait or clash(steps[before], step)
+                if must_wait:
+                    waits.add(StepEvent(before, True))
+            after.append(frozenset(waits))
         return cls(steps, one_after_the_other(len(steps)), tuple(after), goals)
 
     @property
@@ -112,33 +112,34 @@ class PlanExecution:
         return tuple(chain.from_iterable(self.moments))
 
     def with_event(self, *events: StepEvent) -> "PlanExecution":
+        """Return the plan with events that have happened."""
         return replace(self, happened=self.happened.union(events))
 
     @property
     def is_finished(self) -> bool:
+        """Whether all steps have ended."""
         return len(self.happened) == 2 * len(self.steps)
 
     @property
     def startable(self) -> tuple[int, ...]:
-        return tuple(number for number in self.remaining if self.after[number] <= self.happened)
+        """The steps that may start now."""
+        return tuple(n for n in self.remaining if self.after[n] <= self.happened)
 
     @property
     def remaining(self) -> tuple[int, ...]:
-        return tuple(
-            number
-            for number in range(len(self.steps))
-            if StepEvent(number, False) not in self.happened
-        )
+        """The steps that have not started."""
+        numbers = range(len(self.steps))
+        return tuple(n for n in numbers if StepEvent(n, False) not in self.happened)
 
     @property
     def running(self) -> tuple[int, ...]:
-        started = {one.number for one in self.happened}
-        return tuple(
-            number for number in sorted(started) if StepEvent(number, True) not in self.happened
-        )
+        """The steps that have started and not ended."""
+        started = sorted({event.number for event in self.happened})
+        return tuple(n for n in started if StepEvent(n, True) not in self.happened)
 
     @property
     def unfinished_steps(self) -> tuple[Step, ...]:
+        """The steps that have not ended, those that run first."""
         return tuple(self.steps[number] for number in (*self.running, *self.remaining))
 
     def starts_with(self, step: Step) -> int | None:
@@ -146,19 +147,21 @@ class PlanExecution:
         return next((number for number in self.startable if self.steps[number] == step), None)
 
     def ends_s(
-        self, takes_s: Callable[[Step], float], shares: Mapping[Step, float]
+        self, takes: Callable[[Step], float], shares: Mapping[Step, float]
     ) -> tuple[float, ...]:
-        """Return the time from now to the earliest end of each step [s], given the shares left of running steps."""
+        """Return the time to the earliest end of each step [s], given shares left of running."""
         at = dict[StepEvent, float]()
         for event in self.events:
-            number, before = event.number, StepEvent(event.number, False)
+            step = self.steps[event.number]
+            before = StepEvent(event.number, False)
             if event in self.happened:
                 at[event] = 0.0
             elif event.is_end:
-                share = shares.get(self.steps[number], 1.0) if before in self.happened else 1.0
-                at[event] = at[before] + takes_s(self.steps[number]) * share
+                share = shares.get(step, 1.0) if before in self.happened else 1.0
+                at[event] = at[before] + takes(step) * share
             else:
-                at[event] = max((at.get(one, 0.0) for one in self.after[number]), default=0.0)
+                waits = [at.get(other, 0.0) for other in self.after[event.number]]
+                at[event] = max(waits, default=0.0)
         return tuple(at[StepEvent(number, True)] for number in range(len(self.steps)))
 
     def prediction(
@@ -168,53 +171,48 @@ class PlanExecution:
         until: Mapping[str, float] | None = None,
         ends_s: Sequence[float] = (),
     ) -> Prediction:
-        """Predict the rest of the plan from the current state; `until` and `ends_s` are as in `replay`."""
-        left = (
-            [event for event in moment if event not in self.happened] for moment in self.moments
-        )
-        flaw, facts = replay(
-            domain, self.steps, filter(None, left), state, self.running, until, ends_s
-        )
-        missed = (
-            goal.text for goal in self.goals if not goal_holds(domain, facts, [goal.expression])
-        )
-        unreached = None if flaw else next(missed, None)
-        return Prediction(
-            flaw or (unreached and f"the rest of the plan does not reach {unreached}"), facts
-        )
+        """Predict the rest of the plan from a state; `until` and `ends_s` are as in `replay`."""
+        left = list[list[StepEvent]]()
+        for moment in self.moments:
+            events = [event for event in moment if event not in self.happened]
+            if events:
+                left.append(events)
+        flaw, facts = replay(domain, self.steps, left, state, self.running, until, ends_s)
+        if flaw is None:
+            for goal in self.goals:
+                if not goal_holds(domain, facts, [goal.expression]):
+                    return Prediction(f"the rest of the plan does not reach {goal.text}", facts)
+        return Prediction(flaw, facts)
 
 
 def _scheduled(
     domain: Domain, schedule: Sequence[TimedStep], goals: tuple[Goal, ...]
 ) -> PlanExecution:
-    timed = sorted(schedule, key=lambda one: one.start_s)
+    timed = sorted(schedule, key=lambda each: each.start_s)
 
     def rank(event: StepEvent) -> tuple[int, StepEvent]:
-        """Order the events of one moment: first ends, then starts, then the ends of instantaneous steps."""
-        return (1 if not event.is_end else 0 if timed[event.number].duration_s > 0.0 else 2), event
+        """Order the events of a moment: ends, then starts, then ends of instantaneous steps."""
+        if not event.is_end:
+            return 1, event
+        return (0 if timed[event.number].duration_s > 0.0 else 2), event
 
-    in_time = tuple(
-        tuple(_in_turn(domain, timed, sorted(moment, key=rank))) for moment in moments(timed)
-    )
+    in_time = list[tuple[StepEvent, ...]]()
+    for moment in moments(timed):
+        in_time.append(tuple(_in_turn(domain, timed, sorted(moment, key=rank))))
     events = tuple(chain.from_iterable(in_time))
-    touched = [_touched(domain, one.step) for one in timed]
-    at_events = {
-        event: _touched(domain, timed[event.number].step, [event.is_end]) for event in events
-    }
-    after = tuple(
-        frozenset(
-            event
-            for event in events[: events.index(StepEvent(number, False))]
-            if event.number != number and _interfere(at_events[event], touched[number])
-        )
-        for number in range(len(timed))
-    )
-    return PlanExecution(
-        tuple(one.step for one in timed),
-        in_time,
-        _not_too_early(domain, timed, touched, after),
-        goals,
-    )
+    touched = [_touched(domain, each.step) for each in timed]
+    at_event = dict[StepEvent, _Touched]()
+    for event in events:
+        at_event[event] = _touched(domain, timed[event.number].step, [event.is_end])
+    after = list[frozenset[StepEvent]]()
+    for number in range(len(timed)):
+        earlier = events[: events.index(StepEvent(number, False))]
+        others = [event for event in earlier if event.number != number]
+        waits = [event for event in others if _interfere(at_event[event], touched[number])]
+        after.append(frozenset(waits))
+    steps = tuple(each.step for each in timed)
+    waits_for = _not_too_early(domain, timed, touched, after)
+    return PlanExecution(steps, tuple(in_time), waits_for, goals)
 
 
 def _not_too_early(
@@ -223,78 +221,72 @@ def _not_too_early(
     touched: Sequence[_Touched],
     after: Sequence[frozenset[StepEvent]],
 ) -> tuple[frozenset[StepEvent], ...]:
-    """Let a step that provides something only while it runs, such as light, wait for what its first user waits for.
+    """Let a step that lends something, such as light, wait for what its first user waits for.
 
-    Otherwise it might end before it is used, as it is not known how long the other steps really take.
+    Otherwise it might end before it is used, as it is not known how long steps really take.
     """
     waits = list(after)
-    for number, one in enumerate(timed):
-        lent = _lent(domain, one.step)
-        users = [
-            user
-            for user in range(len(timed))
-            if lent & touched[user][0] and StepEvent(number, False) in after[user]
-        ]
-        if users and one.duration_s > 0.0:
+    for number, each in enumerate(timed):
+        lent = _lent(domain, each.step)
+        start = StepEvent(number, False)
+        users = [n for n in range(len(timed)) if lent & touched[n][0] and start in after[n]]
+        if users and each.duration_s > 0.0:
             waiting = _waiting_for(waits, number)
             waits[number] |= {event for event in after[users[0]] if event.number not in waiting}
     return tuple(waits)
 
 
 def _lent(domain: Domain, step: Step) -> frozenset[str]:
-    schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
-    given = [effect for effect in schema.start_effects if not effect.value.is_false()]
-    taken = [effect for effect in schema.end_effects if not effect.value.is_true()]
-    return frozenset(affected_atoms(domain, given, binding)) & frozenset(
-        affected_atoms(domain, taken, binding)
-    )
+    schema = domain.schema_of[step.schema]
+    binding = binding_of(domain, step)
+    lent = [effect for effect in schema.start_effects if effect.kind != "delete"]
+    taken = [effect for effect in schema.end_effects if effect.kind != "add"]
+    atoms = frozenset(affected_atoms(domain, lent, binding))
+    return atoms.intersection(affected_atoms(domain, taken, binding))
 
 
 def _waiting_for(waits: Sequence[frozenset[StepEvent]], number: int) -> set[int]:
-    found, more = set[int](), {number}
+    waiting, more = set[int](), {number}
     while more:
-        found |= more
-        rest = [other for other in range(len(waits)) if other not in found]
-        more = {other for other in rest if any(event.number in found for event in waits[other])}
-    return found
+        waiting |= more
+        rest = [other for other in range(len(waits)) if other not in waiting]
+        more = {n for n in rest if any(event.number in waiting for event in waits[n])}
+    return waiting
 
 
 def _in_turn(
     domain: Domain, timed: Sequence[TimedStep], together: Sequence[StepEvent]
 ) -> Iterator[StepEvent]:
-    """Yield the events of one moment; a step starts after the events that provide its `over all` conditions."""
+    """Yield the events of a moment; a step starts after what provides its `over all` conditions."""
     left = list(together)
-
-    def provides(event: StepEvent) -> bool:
-        return not event.is_end or timed[event.number].duration_s == 0.0
 
     def is_early(event: StepEvent) -> bool:
         if event.is_end:
             return StepEvent(event.number, False) in left
         step = timed[event.number].step
-        held = set(
-            mentioned_atoms(
-                domain, domain.schema_of[step.schema].over_all, (), binding_of(domain, step)
-            )
-        )
-        others = [one for one in left if one.number != event.number and provides(one)]
-        return any(
-            held & _touched(domain, timed[one.number].step, [one.is_end])[1] for one in others
-        )
+        over_all = domain.schema_of[step.schema].over_all
+        needed = set(mentioned_atoms(domain, over_all, (), binding_of(domain, step)))
+        for other in left:
+            provides = not other.is_end or timed[other.number].duration_s == 0.0
+            if other.number != event.number and provides:
+                if needed & _touched(domain, timed[other.number].step, [other.is_end])[1]:
+                    return True
+        return False
 
     while left:
-        event = next((one for one in left if not is_early(one)), left[0])
+        event = next((each for each in left if not is_early(each)), left[0])
         left.remove(event)
         yield event
 
 
 def _touched(domain: Domain, step: Step, ends: Iterable[bool] = (False, True)) -> _Touched:
-    """Return the atoms that a step, or one of its ends only, needs, and the atoms that it may change."""
-    schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
+    """Return the atoms that a step, or one of its ends, needs, and those that it may change."""
+    schema = domain.schema_of[step.schema]
+    binding = binding_of(domain, step)
     needed, changed = set[str](), set[str]()
     for is_end in ends:
         conditions = schema.over_all + (schema.end if is_end else schema.start)
-        effects = schema.end_effects if is_end else schema.start_effects
+        effects: tuple[Effect, ...] = schema.end_effects if is_end else schema.start_effects
         needed |= set(mentioned_atoms(domain, conditions, effects, binding))
         changed |= set(affected_atoms(domain, effects, binding))
     return frozenset(needed), frozenset(changed)
@@ -308,7 +300,9 @@ class PlanMonitor:
     """Checks whether the plan that is executed still works."""
 
     def __init__(self, effects: ExpectedEffects, belief: Belief, forecasts: _Forecasts) -> None:
-        self.effects, self.belief, self._forecasts = effects, belief, forecasts
+        self.effects = effects
+        self.belief = belief
+        self._forecasts = forecasts
 
     @property
     def is_forecast(self) -> bool:
@@ -316,112 +310,98 @@ class PlanMonitor:
         return bool(self._forecasts())
 
     def until(self) -> dict[str, float]:
-        """Return how much longer facts hold for a new plan [s]: the earliest time forecast, with a margin."""
-        ends = {atom: (one.earliest, one.now) for atom, one in self._forecasts().items()}
-        return {atom: (end - now) / _LONGER for atom, (end, now) in ends.items() if end is not None}
+        """Return how much longer facts hold for a new plan [s]: the earliest, with a margin."""
+        until = dict[str, float]()
+        for atom, forecast in self._forecasts().items():
+            if forecast.earliest is not None:
+                until[atom] = (forecast.earliest - forecast.now) / _LONGER
+        return until
 
     def is_no_easier(self, then: Problem) -> bool:
-        """Whether a problem without a plan has none now either, as no limit and no forecast leaves more."""
+        """Whether a problem without a plan has none now either."""
         now = self.until() if then.until else {}
-        lasts_longer = any(
-            now.get(atom, inf) > left_s * _LONGER for atom, left_s in then.until.items()
-        )
-        return not lasts_longer and usage_of(self.effects.domain).leave_no_more(
-            self.belief.numbers, then.costs
-        )
+        for atom, left_s in then.until.items():
+            if now.get(atom, float("inf")) > left_s * _LONGER:
+                return False
+        return True
 
     def too_late(
         self, plan: PlanExecution, state: State, shares: Mapping[Step, float]
     ) -> str | None:
-        """Return in words which step of a working plan would end too late by the expected times; None if none."""
+        """Return in words which step of a working plan would end too late; None if none would."""
         forecasts = self._forecasts()
-        found = {atom: one.at - one.now for atom, one in forecasts.items() if one.at is not None}
-        if not found or not plan.goals:  # a safe step, which has no goals, is never too late
+        left = {atom: each.at - each.now for atom, each in forecasts.items() if each.at is not None}
+        if not left or not plan.goals:  # a safe step, which has no goals, is never too late
             return None
-        domain, usage = self.effects.domain, usage_of(self.effects.domain)
-        numbers = usage.numbers(self.belief.numbers, state)
-        ends_s = plan.ends_s(lambda step: float(usage.takes_s(step, numbers)), shares)
-        flaw = (
-            plan.prediction(domain, state, found, ends_s).flaw
-            if max((0.0, *ends_s)) > min(found.values())
-            else None
-        )
+        domain, numbers = self.effects.domain, self.belief.numbers
+
+        def takes(step: Step) -> float:
+            return takes_s(domain, step, state, numbers)
+
+        ends_s = plan.ends_s(takes, shares)
+        if max((0.0, *ends_s)) <= min(left.values()):
+            return None
+        flaw = plan.prediction(domain, state, left, ends_s).flaw
         if flaw is None:
             return None
-        alone = [
-            one
-            for one in found
-            if plan.prediction(domain, state, {one: found[one]}, ends_s).flaw == flaw
-        ]
-        return f"{flaw}, as " + " and ".join(
-            f"{forecasts[one].action} is {forecasts[one]}" for one in alone or found
-        )
+        reasons = list[str]()
+        for atom, forecast in forecasts.items():
+            alone = {atom: left[atom]} if atom in left else {}
+            if alone and plan.prediction(domain, state, alone, ends_s).flaw == flaw:
+                reasons.append(f"{forecast.action} is {forecast}")
+        if not reasons:
+            reasons = [f"{forecasts[atom].action} is {forecasts[atom]}" for atom in left]
+        return f"{flaw}, as {' and '.join(reasons)}"
 
-    def overspent(self, plan: PlanExecution) -> str | None:
-        """Return in words which limit the steps that have not started break; None if they keep all limits.
-
-        Running steps are left out, as the sensed numbers may already include part of what they use.
-        """
-        with suppress(UnsupportedPddlError):  # a safe step may run though a number is unknown
-            steps = (plan.steps[number] for number in plan.remaining)
-            over = usage_of(self.effects.domain).overspent(self.belief.numbers, steps)
-            return None if over is None else f"the rest of the plan is too much: {over}"
-        return None
-
-    def aimed(self, plan: PlanExecution, state: State, goals: Goals) -> PlanExecution:
-        """Return the plan with the current goals as its goals: all hard ones, and the soft ones that it reaches."""
+    def aimed(
+        self, plan: PlanExecution, state: State, hard: tuple[Goal, ...], soft: tuple[Goal, ...]
+    ) -> PlanExecution:
+        """Return the plan with other goals: all hard ones, and the soft ones that it reaches."""
         facts = plan.prediction(self.effects.domain, state).facts
-        return replace(plan, goals=goals.hard + self._holding(goals.soft, facts))
-
-    def is_over(self, state: State, goals: Goals, plan: PlanExecution | None) -> bool:
-        """Whether nothing is left to do: all goals hold, or the plan is finished and gave up only soft goals."""
-        wanted = goals.hard if plan is not None and plan.is_finished else tuple(goals)
-        return self._holding(wanted, state) == wanted
+        return replace(plan, goals=hard + self.holding(soft, facts))
 
     def is_better(
         self,
         new: tuple[PlanExecution, State],
         old: tuple[PlanExecution, State],
-        goals: Goals,
+        soft: tuple[Goal, ...],
         shares: Mapping[Step, float],
         weights: Mapping[Step, int],
         margin: float,
     ) -> bool:
-        """Whether the new plan works and, even with its cost raised by the margin, costs less than the rest of the old.
+        """Whether the new plan works and costs less than the rest of the old, by a margin.
 
-        Each plan comes with the state that it begins in; shares are left of running steps, weights multiply costs.
+        Each plan comes with the state that it begins in.
         """
         plan, after = new
-        if (
-            plan.prediction(self.effects.domain, after).flaw is not None
-            or self.overspent(plan) is not None
-        ):
+        if plan.prediction(self.effects.domain, after).flaw is not None:
             return False
-        try:
-            mine, others = (self._price(*one, goals, shares, weights) for one in (new, old))
-        except UnsupportedPddlError:  # a number that costs depend on is unknown now
+        mine, theirs = (self._price(*each, soft, shares, weights) for each in (new, old))
+        if mine is None or theirs is None:  # a number that costs depend on is unknown now
             return False
-        return mine * (1.0 + margin) < others - _SAME_COST
+        return mine * (1.0 + margin) < theirs - _SAME_COST
 
     def _price(
         self,
         plan: PlanExecution,
         state: State,
-        goals: Goals,
+        soft: tuple[Goal, ...],
         shares: Mapping[Step, float],
         weights: Mapping[Step, int],
-    ) -> float:
-        """Return the cost of the steps that have not ended plus the worth of the soft goals that are given up."""
-        domain, usage = self.effects.domain, usage_of(self.effects.domain)
-        held = self._holding(goals.soft, plan.prediction(domain, state).facts)
-        price = sum(goal.worth or 0.0 for goal in goals.soft if goal not in held)
-        steps, begun = plan.unfinished_steps, len(plan.running)
-        for step, numbers in usage.in_turn(self.belief.numbers, state, steps, begun):
-            cost = float(usage.value(usage.cost_of(step), numbers))
+    ) -> float | None:
+        """Return the cost of the steps that have not ended, and of the soft goals given up."""
+        domain = self.effects.domain
+        reached = self.holding(soft, plan.prediction(domain, state).facts)
+        price = sum(goal.worth or 0.0 for goal in soft if goal not in reached)
+        steps = plan.unfinished_steps
+        costs = step_costs(domain, steps, state, self.belief.numbers, len(plan.running))
+        for step, cost in zip(steps, costs, strict=True):
+            if cost is None:
+                return None
             price += cost * shares.get(step, 1.0) * weights.get(step, 1)
         return price
 
-    def _holding(self, goals: Iterable[Goal], facts: State) -> tuple[Goal, ...]:
-        return tuple(
-            goal for goal in goals if goal_holds(self.effects.domain, facts, [goal.expression])
-        )
+    def holding(self, goals: Iterable[Goal], facts: State) -> tuple[Goal, ...]:
+        """Return the goals that hold."""
+        domain = self.effects.domain
+        return tuple(goal for goal in goals if goal_holds(domain, facts, [goal.expression]))

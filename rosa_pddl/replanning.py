@@ -1,21 +1,30 @@
-"""Decides when to replan, exchanges requests and answers with the planner, and explains why there is no plan."""
+"""Decides when to replan, exchanges questions and answers with the planner, explains failures."""
 
 import logging
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from html import escape
 from math import inf
+from numbers import Real
 from typing import Literal, Protocol, TypeAlias
 
-from rosa_pddl.domain import Domain, Outcome, PlanningResult, State, Step
-from rosa_pddl.exceptions import PlannerSettingError, PlanningBudgetError
-from rosa_pddl.goals import Goals, Relevance, SoftGoals
-from rosa_pddl.plan_monitor import Clash, PlanExecution, PlanMonitor
-from rosa_pddl.planner import CERTIFIED, Planner, awaited
-from rosa_pddl.problem import Problem, lock_of
-from rosa_pddl.syntax import Goal
-from rosa_pddl.validate import missing_at_start
+from rosa_pddl.domain import (
+    FEASIBLE,
+    Domain,
+    State,
+    Step,
+    constants_in,
+    head_of,
+    names_in,
+    parts_of,
+)
+from rosa_pddl.exceptions import GoalError, PlannerSettingError, PlanningBudgetError, nearest
+from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor
+from rosa_pddl.planner import CERTIFIED, Planner, wait_for_plan
+from rosa_pddl.problem import Outcome, PlanningResult, Problem
+from rosa_pddl.reader import Goal, conditions
+from rosa_pddl.validate import Clash, goal_holds, missing_at_start
 
 _LOG = logging.getLogger(__name__)
 
@@ -23,36 +32,203 @@ _LOG = logging.getLogger(__name__)
 _CLOCK_RESOLUTION_S = 1e-6
 # Time beyond the planner's own time limit to wait for its answer, before it is given up [s].
 _GRACE_S = 2.0
-# The pause after a first failure, which doubles with each further failure in a row, and the longest pause [s].
+# The pause after a first failure, which doubles with each further one, and the longest pause [s].
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 60.0
 
 MEMORY = 10_000
-"""How many plannings are remembered, unless another number is asked for; older ones are forgotten."""
+"""How many plannings are remembered, unless another number is asked for."""
 
 PlanningState = tuple[State, Mapping[str, float]]
 """The believed state: the true atoms, and numbers by their text."""
+
+
+# ---------------------------------------------------------------- goals
+
+
+class Goals:
+    """The goals, in the order in which they were added; first those of the problem file.
+
+    Each part of a conjunction is a goal of its own. Change goals between ticks, in the thread that
+    ticks.
+
+    Args:
+        domain: what `load_domain` returned.
+
+    Attributes:
+        version: counts the changes.
+    """
+
+    def __init__(self, domain: Domain) -> None:
+        self._domain = domain
+        self._goals: dict[str, Goal] = {}
+        self.version = 0
+        for text in domain.goals:
+            self._put(text, None)
+
+    @property
+    def hard(self) -> tuple[Goal, ...]:
+        """The goals that must be reached."""
+        return tuple(goal for goal in self if not goal.is_soft)
+
+    @property
+    def soft(self) -> tuple[Goal, ...]:
+        """The goals that a plan may give up."""
+        return tuple(goal for goal in self if goal.is_soft)
+
+    def add(self, text: str, worth: float | None = None) -> None:
+        """Add a goal; if it exists already, it gets the new worth.
+
+        Args:
+            text: a condition such as `(inspected north)`.
+            worth: how much more a plan may cost to reach the goal, in the unit of the plan's cost;
+                None if it must be reached. Each part of a conjunction gets this worth.
+
+        Raises:
+            GoalError: `text` is not a string, or the worth is not positive.
+            PddlError: the text is not PDDL.
+            UnknownNameError: the text has a name that the domain does not have.
+        """
+        if worth is not None and not (isinstance(worth, Real) and 0.0 < worth < inf):
+            message = f"{text} is worth {worth}, expected more than 0"
+            raise GoalError(f"{message}; leave it out if it must be reached")
+        before = dict(self._goals)
+        self._put(text, worth)
+        self.version += before != self._goals
+
+    def drop(self, text: str) -> None:
+        """Remove a goal; each part of a conjunction is removed.
+
+        Raises:
+            GoalError: there is no such goal; other errors as in `add`.
+        """
+        texts = [goal.text for goal in self._read(text)]
+        for goal in texts:
+            if goal not in self._goals:
+                raise GoalError(f"{goal} is not among the goals; {nearest(goal, self._goals)}")
+        for goal in texts:
+            self._goals.pop(goal, None)
+        self.version += 1
+
+    def replace(self, *texts: str) -> None:
+        """Replace all goals by these, which must be reached; raises as `add`."""
+        goals = [goal for text in texts for goal in self._read(text)]
+        before = self._goals
+        self._goals = {goal.text: goal for goal in goals}
+        self.version += before != self._goals
+
+    def use(self, domain: Domain) -> None:
+        """Switch to a domain with other objects; the goals of objects that are gone go, too."""
+        self._domain = domain
+        for text, goal in tuple(self._goals.items()):
+            if not constants_in(goal.expression) <= domain.types.keys():
+                del self._goals[text]
+        self.version += 1
+
+    def __contains__(self, text: object) -> bool:
+        return text in self._goals
+
+    def __iter__(self) -> Iterator[Goal]:
+        return iter(tuple(self._goals.values()))
+
+    def __len__(self) -> int:
+        return len(self._goals)
+
+    def __repr__(self) -> str:
+        return f"Goals({', '.join(str(goal) for goal in self)})"
+
+    def _put(self, text: str, worth: float | None) -> None:
+        self._goals |= {goal.text: goal for goal in self._read(text, worth)}
+
+    def _read(self, text: str, worth: float | None = None) -> tuple[Goal, ...]:
+        if not isinstance(text, str):
+            message = f"{text!r} is no goal, expected a condition as text"
+            raise GoalError(f"{message} such as '(inspected north)'")
+        return conditions(self._domain, text, worth)
+
+
+class Relevance:
+    """Which atoms a plan or a goal may depend on.
+
+    It tells predicates apart, not objects; only for `action_feasible` it tells ROSA actions apart.
+    """
+
+    def __init__(self, domain: Domain, goals: Goals) -> None:
+        self._domain = domain
+        self._goals = goals
+        self._seen = -1
+        self._names: set[str] = set()
+        self._feasible: frozenset[str] = frozenset()
+
+    def matters(self, atom: str) -> bool:
+        """Whether a plan or a goal may depend on an atom."""
+        if self._seen != self._goals.version:
+            self._look()
+            self._seen = self._goals.version
+        if self._domain.is_feasibility(atom):
+            return atom in self._feasible
+        return head_of(atom) in self._names
+
+    def _look(self) -> None:
+        domain = self._domain
+        needed = names_in(goal.expression for goal in self._goals)
+        feasible = {name for name in needed if name.lower() == FEASIBLE}
+        actions = set(domain.rosa_actions if feasible else ())
+        size = -1
+        while size != len(needed):
+            size = len(needed)
+            for name, axioms in domain.axioms.items():
+                if domain.signatures[name].name in needed:
+                    needed |= names_in(axiom.condition for axiom in axioms)
+            for schema in domain.schema_of.values():
+                if needed.isdisjoint(effect.name for effect in schema.effects):
+                    continue
+                formulas = [*schema.conditions]
+                for effect in schema.effects:
+                    formulas += [effect.condition, effect.amount]
+                needed |= names_in(formulas)
+                actions |= self._actions_of(schema.name, formulas)
+        self._names = needed
+        feasibility = domain.feasibility.items()
+        self._feasible = frozenset(atom for atom, action in feasibility if action in actions)
+
+    def _actions_of(self, name: str, formulas: Sequence[object]) -> set[str]:
+        """Return the ROSA actions whose feasibility an action may need."""
+        schema, every = self._domain.schema_of[name], self._domain.rosa_actions
+        for formula in formulas:
+            for part in parts_of(formula) if isinstance(formula, tuple) else ():
+                is_asked = part[0] == "atom" and part[1].lower() == FEASIBLE
+                if is_asked and part[2] != (f"?{schema.action}",):
+                    return set(every)
+        return {action for action in every if self._domain.may_do(schema, action)}
+
+
+# ---------------------------------------------------------------- the policy
 
 
 @dataclass(frozen=True)
 class ReplanningPolicy:
     """When a plan executor replans, and what it does meanwhile.
 
-    A plan that no longer reaches the goals is always replaced. The conditions of running steps are always watched, and
-    a step is stopped as soon as one of its conditions does not hold.
+    A plan that no longer reaches the goals is always replaced. The conditions of running steps are
+    always watched, and a step is stopped as soon as one of its conditions does not hold.
 
     Args:
-        eager: whether to look for a better plan when the world changes by itself, although the current plan still
-            works. A cheaper plan replaces the current one; of running steps, only the share that is left costs.
+        eager: whether to look for a better plan when the world changes by itself, although the
+            current plan still works. A cheaper plan replaces the current one; of running steps,
+            only the share that is left costs.
         at_most_every_s: shortest time between the starts of two plannings [s].
-        while_planning: what happens to running steps while a new plan is needed: `continue` lets steps go on whose own
-            conditions hold, and keeps them if the new plan starts with them; `hold` stops all steps.
-        retries: how often in a row a planner in trouble is asked again, and a failed step is planned again; the pause
-            doubles each time. After that, planning fails, or plans leave out the step, until a pause of up to a minute
-            is over.
-        side_by_side: whether steps of a plan may run at the same time if neither changes what the other needs or
-            changes, and they share no component; else only a temporal planner lets steps overlap.
-        hysteresis: by which share of its own cost a new plan must be cheaper to replace a working one; this share grows
-            by the same amount with each such replacement, so that replacing ends even if costs keep changing.
+        while_planning: what happens to running steps while a new plan is needed: `continue` lets
+            steps go on whose own conditions hold, and keeps them if the new plan starts with them;
+            `hold` stops all steps.
+        retries: how often in a row a planner in trouble is asked again, and a failed step is
+            planned again; the pause doubles each time. After that, planning fails, or plans leave
+            out the step, until a pause of up to a minute is over.
+        side_by_side: whether steps of a plan may run at the same time if neither changes what the
+            other needs or changes, and they share no component.
+        hysteresis: by which share of its own cost a new plan must be cheaper to replace a working
+            one; this share grows with each such replacement, so that replacing ends.
+        overrun: how many times its expected duration a step may take; then it is stopped and
+            counts as failed.
 
     Raises:
         PlannerSettingError: a setting that makes no sense.
@@ -64,11 +240,19 @@ class ReplanningPolicy:
     retries: int = 3
     hysteresis: float = 0.1
     side_by_side: bool = False
+    overrun: float = inf
 
     def __post_init__(self) -> None:
-        for name in ("at_most_every_s", "retries", "hysteresis"):
-            if not 0.0 <= getattr(self, name) < inf:
-                raise PlannerSettingError(f"{name} is {getattr(self, name):g}, expected 0 or more")
+        numbers = {
+            "at_most_every_s": self.at_most_every_s,
+            "retries": self.retries,
+            "hysteresis": self.hysteresis,
+        }
+        for name, value in numbers.items():
+            if not 0.0 <= value < inf:
+                raise PlannerSettingError(f"{name} is {value:g}, expected 0 or more")
+        if not self.overrun > 1.0:
+            raise PlannerSettingError(f"overrun is {self.overrun:g}, expected more than 1")
         if self.while_planning not in ("continue", "hold"):
             message = f"while_planning is {self.while_planning!r}, expected 'continue' or 'hold'"
             raise PlannerSettingError(message)
@@ -76,9 +260,7 @@ class ReplanningPolicy:
 
 @dataclass(frozen=True)
 class Decision:
-    """The decision to replan: why, whether a plan is needed, and the number of the event that caused it."""
-
-    BOOKKEEPING = "reason cause"
+    """The decision to replan: why, whether a plan is needed, and the event that caused it."""
 
     reason: str
     is_needed: bool
@@ -101,46 +283,65 @@ def decide(
 def news_of(
     expected: PlanningState | None, now: PlanningState, matters: Callable[[str], bool]
 ) -> str | None:
-    """Return in words the relevant changes that no step made since the last tick; None if there are none."""
+    """Return in words the relevant changes that no step made since the last tick, or None."""
     if expected is None or expected == now:
         return None
-    (before, known), (state, numbers) = expected, now
-    atoms = [atom for atom in sorted(state ^ before) if matters(atom)]
-    changed = [atom for atom in atoms if atom in state] + [
-        f"(not {atom})" for atom in atoms if atom in before and not atom.startswith("(= ")
-    ]
-    changed += [
-        f"{text} is {value:g}"
-        for text, value in sorted(numbers.items())
-        if known.get(text) != value
-    ]
-    return ", ".join(changed[:3]) + (", ..." if len(changed) > 3 else "") if changed else None
+    before, numbers_before = expected
+    state, numbers = now
+    changed = list[str]()
+    gone = list[str]()
+    for atom in sorted(state ^ before):
+        if not matters(atom):
+            continue
+        if atom in state:
+            changed.append(atom)
+        elif not atom.startswith("(= "):
+            gone.append(f"(not {atom})")
+    changed += gone
+    for text, value in sorted(numbers.items()):
+        if numbers_before.get(text) != value:
+            changed.append(f"{text} is {value:g}")
+    if not changed:
+        return None
+    return ", ".join(changed[:3]) + (", ..." if len(changed) > 3 else "")
 
 
-class Setbacks:
-    """Counts failures in a row of each step, and of the planner (key None), with the time when its pause ends."""
-
-    BOOKKEEPING = "_failed"
+class RetryBackoff:
+    """Counts failures in a row of each step, and of the planner (key None), with their pauses."""
 
     def __init__(self, clock: Callable[[], float], policy: ReplanningPolicy) -> None:
-        self._clock, self._policy = clock, policy
+        self._clock = clock
+        self._policy = policy
         self._failed: dict[Step | None, tuple[int, float]] = {}
 
     def add(self, what: Step | None) -> bool:
         """Count one more failure and begin a pause; return whether all retries are used up."""
-        count = self._failed.get(what, (0, 0.0))[0] + 1
+        count = self.count(what) + 1
         # larger exponents would only overflow
         pause_s = min(_FIRST_PAUSE_S * 2.0 ** min(count - 1, 30), _LONGEST_PAUSE_S)
         self._failed[what] = count, self._clock() + pause_s
         return count > self._policy.retries
 
+    def use_up(self, step: Step) -> None:
+        """Count a failure after which no retry is left."""
+        while not self.add(step):
+            pass
+
     def forget(self, what: Step | None) -> None:
+        """Forget the failures."""
         self._failed.pop(what, None)
 
     def clear(self) -> None:
+        """Forget all failures."""
         self._failed.clear()
 
+    def end_pauses(self) -> None:
+        """End all pauses, but keep the counts."""
+        for what, (count, _) in tuple(self._failed.items()):
+            self._failed[what] = count, -inf
+
     def count(self, what: Step | None) -> int:
+        """Return how often it failed in a row."""
         return self._failed.get(what, (0, 0.0))[0]
 
     def wait_s(self, what: Step | None) -> float:
@@ -151,18 +352,22 @@ class Setbacks:
     @property
     def left_out(self) -> tuple[Step, ...]:
         """The steps that plans must not contain now."""
-        steps = [step for step in self._failed if step is not None]
-        return tuple(
-            step for step in steps if self.count(step) > self._policy.retries and self.wait_s(step)
-        )
+        left_out = list[Step]()
+        for step in self._failed:
+            is_over = step is not None and self.count(step) > self._policy.retries
+            if step is not None and is_over and self.wait_s(step):
+                left_out.append(step)
+        return tuple(left_out)
 
     @property
     def weights(self) -> Mapping[Step, int]:
-        """The factor on each step's cost: the expected number of tries, by the rule of succession; 0 leaves it out."""
-        out, failed = self.left_out, self._failed.items()
-        return {
-            step: 0 if step in out else count + 1 for step, (count, _) in failed if step is not None
-        }
+        """The factor on each step's cost: the expected number of tries; 0 leaves it out."""
+        weights = dict[Step, int]()
+        left_out = self.left_out
+        for step, (count, _) in self._failed.items():
+            if step is not None:
+                weights[step] = 0 if step in left_out else count + 1
+        return weights
 
 
 class PlansAhead(Protocol):
@@ -194,28 +399,36 @@ class PlannerClient:
     ) -> None:
         if delay_s is not None and not 0.0 <= delay_s < inf:
             raise PlannerSettingError(f"delay_s is {delay_s:g} s, expected 0 or more, or None")
-        self._planner, self.clock, self._delay_s = planner, clock, delay_s
+        self._planner = planner
+        self.clock = clock
+        self._delay_s = delay_s
         self._question: _Question | None = None
         self.was_answered_at_once = False
 
     @property
+    def timeout_s(self) -> float:
+        """The planner's own time limit [s]."""
+        return self._planner.timeout_s
+
+    @property
     def is_under_way(self) -> bool:
+        """Whether a question is open."""
         return self._question is not None
 
     def ask(self, problem: Problem, decision: Decision | None) -> None:
+        """Ask for a plan; an open question is given up."""
         self.give_up()
         at_s = self.clock()
         future: Future[PlanningResult]
         try:
             future = self._planner.start(problem)
             tried = future.result().attempts if future.done() else ()
-            is_prepared = CERTIFIED in [attempt.way for attempt in tried]
+            is_prepared = CERTIFIED in [attempt.strategy for attempt in tried]
         except Exception as error:  # a planner must not stop the tree; its error is its answer
             future, is_prepared = Future(), False
             future.set_exception(error)
-        self._question = _Question(
-            problem, decision, at_s, 0.0 if is_prepared else self._delay_s or 0.0, future
-        )
+        delay_s = 0.0 if is_prepared else self._delay_s or 0.0
+        self._question = _Question(problem, decision, at_s, delay_s, future)
         self.was_answered_at_once = future.done() and (is_prepared or self._delay_s is None)
 
     def is_prepared(self, problem: Callable[[], Problem]) -> bool:
@@ -232,10 +445,8 @@ class PlannerClient:
         if question is None or not self._is_due(question):
             return False
         # with a delay, simulated time does not tell whether the planner keeps its time limit
-        is_late = (
-            self._delay_s is None
-            and self.clock() - question.at_s > self._planner.timeout_s + _GRACE_S
-        )
+        passed_s = self.clock() - question.at_s
+        is_late = self._delay_s is None and passed_s > self._planner.timeout_s + _GRACE_S
         return question.future.done() or is_late
 
     def take(self) -> tuple[_Question, PlanningResult]:
@@ -251,13 +462,14 @@ class PlannerClient:
         if self._question is None or self._delay_s is None or not self._is_due(self._question):
             return
         try:
-            awaited(self._question.future, self._planner.timeout_s + _GRACE_S)
+            wait_for_plan(self._question.future, self._planner.timeout_s + _GRACE_S)
         except PlanningBudgetError:
             raise
         except Exception as error:  # it is reported by name when the answer is taken
             _LOG.debug("the planner raised %r", error)
 
     def give_up(self) -> None:
+        """Give up the open question."""
         if self._question is not None:
             self._question.future.cancel()
         self._question, self.was_answered_at_once = None, False
@@ -269,53 +481,70 @@ class PlannerClient:
         engine = str(getattr(self._planner, "engine", type(self._planner).__name__))
         if not question.future.done():
             passed_s = self.clock() - question.at_s
-            message = (
-                f"{engine} gave no answer in {passed_s:.3g} s; allow more time or ask for less"
+            message = f"{engine} gave no answer in {passed_s:.3g} s"
+            advice = "allow more time or ask for less"
+            return PlanningResult(
+                Outcome.OUT_OF_TIME, engine=engine, message=f"{message}; {advice}"
             )
-            return PlanningResult(Outcome.OUT_OF_TIME, engine=engine, message=message)
         try:
             return question.future.result()
         except Exception as error:  # a planner of the user's own may raise anything
-            return PlanningResult(
-                Outcome.ENGINE_CRASHED, engine=engine, message=f"{type(error).__name__}: {error}"
-            )
+            message = f"{type(error).__name__}: {error}"
+            return PlanningResult(Outcome.ENGINE_CRASHED, engine=engine, message=message)
 
 
-Diagnosis: TypeAlias = Generator[Problem, PlanningResult, list[str]]
-"""Yields the next problem for the planner, receives its result, and finally returns reasons in sentences."""
+# ---------------------------------------------------------------- why there is no plan
+
+
+@dataclass(frozen=True)
+class Reasons:
+    """Why there is no plan, in sentences, and the goals that can be reached together."""
+
+    sentences: list[str]
+    reachable: tuple[Goal, ...] = ()
+
+
+Diagnosis: TypeAlias = Generator[Problem, PlanningResult, Reasons]
+"""Yields the next problem for the planner, receives its result, and finally returns reasons."""
 
 
 def diagnosis(problem: Problem, goals: Sequence[Goal]) -> Diagnosis:
-    """Ask more problems after there was no plan, to return why, as far as the planner can tell.
+    """Ask more problems after there was no plan, to find out why, as far as the planner can tell.
 
-    It asks for each goal alone; then for all goals with every action feasible, without limits, and without forecasts.
+    It asks for the goals, one more each time, and leaves out those that cannot be reached with
+    the others; what holds already, such as a limit, must stay so. Then it asks for all goals with
+    every action feasible, and without forecasts.
     """
-    domain, outcomes = problem.domain, [Outcome.UNSOLVABLE_PROVEN] if len(goals) < 2 else []
-    for goal in goals[len(outcomes) :]:
-        outcomes.append((yield replace(problem, goals=(goal.expression,))).outcome)
-    missed = [
-        goal.text for goal, outcome in zip(goals, outcomes, strict=False) if outcome.is_unsolvable
-    ]
-    found = [f"out of reach: {', '.join(missed)}"] if missed else []
-    if all(outcome.is_solved for outcome in outcomes):
-        found.append("each goal can be reached alone, but not all together")
-    if out := {atom: one for atom, one in domain.feasibility.items() if atom not in problem.state}:
-        outcome = (yield replace(problem, state=problem.state.union(out))).outcome
+    domain = problem.domain.with_numbers(problem.costs)
+    holding = [goal for goal in goals if goal_holds(domain, problem.state, [goal.expression])]
+    reachable, missed = list(holding), list[str]()
+    for goal in goals if len(goals) > 1 else ():
+        if goal in holding:
+            continue
+        together = [other.expression for other in (*reachable, goal)]
+        outcome = (yield replace(problem, goals=tuple(together))).outcome
         if outcome.is_solved:
-            found.append(
-                f"unfeasible now: {', '.join(out.values())}; there would be a plan if they were feasible"
-            )
+            reachable.append(goal)
         elif outcome.is_unsolvable:
-            found.append("there would be no plan even if every action were feasible")
-    others = dict[str, Problem]()
-    if limited := ", ".join(domain.limited):
-        others[f"the limits of {limited}"] = replace(problem, domain=replace(domain, limits=()))
-    if lasting := ", ".join(f"{atom} for {left_s:.3g} s" for atom, left_s in problem.until.items()):
-        others[f"what is forecast to hold no longer: {lasting}"] = replace(problem, until={})
-    for what, other in others.items():
-        if (yield other).outcome.is_solved:
-            found.append(f"there would be a plan without {what}")
-    return found
+            missed.append(goal.text)
+    if len(goals) == 1:
+        missed = [goals[0].text]
+    sentences = [f"out of reach: {', '.join(missed)}"] if missed else []
+    unfeasible = {a: name for a, name in domain.feasibility.items() if a not in problem.state}
+    if unfeasible:
+        outcome = (yield replace(problem, state=problem.state.union(unfeasible))).outcome
+        if outcome.is_solved:
+            names = ", ".join(unfeasible.values())
+            sentence = f"unfeasible now: {names}; there would be a plan if they were feasible"
+            sentences.append(sentence)
+        elif outcome.is_unsolvable:
+            sentences.append("there would be no plan even if every action were feasible")
+    if problem.until:
+        lasting = [f"{atom} for {left_s:.3g} s" for atom, left_s in problem.until.items()]
+        if (yield replace(problem, until={})).outcome.is_solved:
+            what = f"what is forecast to hold no longer: {', '.join(lasting)}"
+            sentences.append(f"there would be a plan without {what}")
+    return Reasons(sentences, tuple(reachable))
 
 
 @dataclass(frozen=True)
@@ -327,11 +556,12 @@ class PlanRecord:
         reason: why it was requested, in words.
         outcome: how it ended.
         steps: the plan; empty unless solved.
-        engine: the engine that was asked.
-        message: what was tried and what to do about it; empty when solved.
-        cause: number of the event of `kb.log` that changed feasibility and so led to this planning; None if no such
-            event did.
-        number: 1 for the first planning; if the first record that is left has another, the ones before are forgotten.
+        engine: the strategy that answered.
+        message: what was tried and what to do about it; with a plan, what it assumes.
+        cause: number of the event of `kb.log` that changed feasibility and so led to this
+            planning; None if no such event did.
+        number: 1 for the first planning; if the first record that is left has another, the ones
+            before are forgotten.
     """
 
     at_s: float
@@ -346,20 +576,19 @@ class PlanRecord:
     def added_to(
         self, plans: "tuple[PlanRecord, ...]", most: int = MEMORY
     ) -> "tuple[PlanRecord, ...]":
-        """Return records with this one as the last, numbered; of more than `most`, the oldest are left out."""
-        return *plans[max(0, len(plans) + 1 - most) :], replace(
-            self, number=plans[-1].number + 1 if plans else 1
-        )
+        """Return records with this one as the last, numbered; the oldest are left out."""
+        number = plans[-1].number + 1 if plans else 1
+        return *plans[max(0, len(plans) + 1 - most) :], replace(self, number=number)
 
     def _repr_html_(self) -> str:
         steps = "".join(f"<li>{escape(str(step))}</li>" for step in self.steps)
-        said = f"{self.outcome} by {self.engine}, asked at {self.at_s:g} s: {self.reason} {self.message}"
-        return f"<p>{escape(said)}</p><ol>{steps}</ol>"
+        text = f"{self.outcome} by {self.engine}, asked at {self.at_s:g} s: {self.reason}"
+        return f"<p>{escape(f'{text} {self.message}')}</p><ol>{steps}</ol>"
 
 
 @dataclass(frozen=True)
 class _DeadEnd:
-    """A problem without a plan, why it has none, and the time from which it is tried again in any case [s]."""
+    """A problem without a plan, why it has none, and when it is tried again in any case [s]."""
 
     domain: Domain
     problem: Problem
@@ -368,9 +597,14 @@ class _DeadEnd:
 
 
 class Replanning:
-    """Requests plans as the policy allows, and finds out why there is none."""
+    """Requests plans as the policy allows, and finds out why there is none.
 
-    BOOKKEEPING = "records _last_asked_s _soft"
+    Goals that cannot be reached are left out: the others are done first, and then these are tried
+    once more.
+
+    Attributes:
+        left_out: the goals that are left out now.
+    """
 
     def __init__(
         self,
@@ -382,64 +616,63 @@ class Replanning:
         memory: int,
     ) -> None:
         if type(memory) is not int or memory < 1:
-            raise PlannerSettingError(
-                f"memory is {memory!r}, expected a whole number of plannings from 1"
-            )
+            message = f"memory is {memory!r}, expected a whole number of plannings from 1"
+            raise PlannerSettingError(message)
         self._memory = memory
-        self._goals, self._monitor, self._client, self._policy, self._clash = (
-            goals,
-            monitor,
-            client,
-            policy,
-            clash,
-        )
-        self._effects, self._clock = monitor.effects, client.clock
+        self._goals = goals
+        self._monitor = monitor
+        self._client = client
+        self._policy = policy
+        self._clash = clash
+        self._effects = monitor.effects
+        self._clock = client.clock
         self.matters = Relevance(monitor.effects.domain, goals).matters
         self._last_asked_s = -inf
-        self._soft: SoftGoals | None = None
         self._wanted: Decision | None = None
         self._diagnosis: tuple[Problem, str, Diagnosis] | None = None
         self._asked_in = monitor.effects.domain
         self._dead_end: _DeadEnd | None = None
         self._was_stale = False
-        self.setbacks, self._in_vain = (
-            Setbacks(client.clock, policy),
-            Setbacks(client.clock, policy),
-        )
+        self.backoff = RetryBackoff(client.clock, policy)
+        self._in_vain = RetryBackoff(client.clock, policy)
+        self.left_out: tuple[Goal, ...] = ()
+        self._is_last_try = False
         self.records: tuple[PlanRecord, ...] = ()
 
-    def wait_no_more(self) -> None:
+    def reset_backoff(self) -> None:
         """Forget the time of the last request, and all failures."""
         self._last_asked_s = -inf
-        self.setbacks.clear()
+        self.backoff.clear()
         self._in_vain.clear()
 
     @property
+    def hard(self) -> tuple[Goal, ...]:
+        """The goals that must be reached and are not left out."""
+        return tuple(goal for goal in self._goals.hard if goal not in self.left_out)
+
+    @property
     def is_busy(self) -> bool:
+        """Whether a plan is wanted, or a question is open."""
         return self._wanted is not None or self._client.is_under_way
 
     def why_no_plan(self, state: State) -> str | None:
-        """Return why there is no plan from a state, if that is known already; None if the planner must be asked."""
+        """Return why there is no plan from a state, if that is known; None if the planner is asked."""
         dead_end = self._dead_end
-        if (
-            dead_end is None
-            or dead_end.domain is not self._effects.domain
-            or self._clock() >= dead_end.until_s
-        ):
+        if dead_end is None or dead_end.domain is not self._effects.domain:
             return None
-        is_known = self._is_same(dead_end.problem.state, state) and self._monitor.is_no_easier(
-            dead_end.problem
-        )
-        return dead_end.why if is_known else None
+        if self._clock() >= dead_end.until_s or not self._is_same(dead_end.problem.state, state):
+            return None
+        return dead_end.why if self._monitor.is_no_easier(dead_end.problem) else None
 
     @property
     def had_no_plan(self) -> bool:
+        """Whether the last planning found that there is no plan."""
         return self._dead_end is not None
 
     def want(self, decision: Decision) -> None:
-        """Note that a plan is wanted; if it is needed, the planning that is under way is given up.
+        """Note that a plan is wanted; if it is needed, the planning under way is given up.
 
-        After trouble, the planner gets no requests for plans that are not needed during longer and longer pauses.
+        After trouble, the planner gets no requests for plans that are not needed for a while.
         """
         is_kept = self._wanted is not None and self._wanted.is_needed
         if is_kept or (not decision.is_needed and self._in_vain.wait_s(None)):
@@ -450,43 +683,56 @@ class Replanning:
             self._diagnosis = None
 
     def goals_changed(self, *, is_needed: bool) -> None:
-        """Restart planning that is under way with the new goals; forget that there was no plan."""
-        self._dead_end = None
+        """Restart planning under way with the new goals; forget that there was no plan."""
+        self.forget_failures()
         if self._client.is_under_way:
             self._client.give_up()
             self._diagnosis = None
             self.want(Decision("the goals changed", is_needed))
 
+    def forget_failures(self) -> None:
+        """Forget that there was no plan, and which goals are left out."""
+        self._dead_end = None
+        self.left_out = ()
+        self._is_last_try = False
+
+    def try_left_out(self) -> None:
+        """Try the goals that are left out once more, after all others are done."""
+        names = ", ".join(goal.text for goal in self.left_out)
+        self.left_out = ()
+        self._is_last_try = True
+        self.backoff.end_pauses()
+        self.want(Decision(f"the other goals are reached; once more {names}", is_needed=True))
+
     def ask_if_allowed(self, state: State, shares: Mapping[Step, float]) -> str | None:
-        """Request the plan that is wanted, if any, unless it is too soon; return what to show as feedback."""
+        """Request the plan that is wanted, unless it is too soon; return what to show."""
         if self._wanted is None:
             return None
         now_s = self._clock()
-        left_s = max(
-            self._last_asked_s + self._policy.at_most_every_s - now_s, self.setbacks.wait_s(None)
-        )
+        left_s = self._last_asked_s + self._policy.at_most_every_s - now_s
+        left_s = max(left_s, self.backoff.wait_s(None))
         if left_s > 0.0 and not self._client.is_prepared(lambda: self._problem(state, shares)):
             return f"planning in {left_s:.2g} s: {self._wanted.reason}"
-        decision, self._wanted = self._wanted, None
+        decision = self._wanted
         self._asked_in = self._effects.domain
         self._client.ask(self._problem(state, shares), decision)
+        self._wanted = None
         self._last_asked_s, self._dead_end = now_s, None
         return f"planning: {decision.reason}"
 
     def _problem(self, state: State, shares: Mapping[Step, float]) -> Problem:
-        """Return the problem for the planner; if there are soft goals, they are compiled into its domain."""
-        soft, until = self._softened(), self._monitor.until()
-        domain, wanted = (soft.domain, [soft.goal]) if soft else (self._effects.domain, [])
-        goals = (*(goal.expression for goal in self._goals.hard), *wanted)
-        numbers, weights = self._monitor.belief.numbers, self.setbacks.weights
-        return Problem(domain, state, goals, numbers, weights, until, shares if until else {})
-
-    def _softened(self) -> SoftGoals | None:
-        domain, goals = made_of = self._effects.domain, self._goals.soft
-        if goals and (self._soft is None or self._soft.made_of != made_of):
-            with lock_of(domain):
-                self._soft = SoftGoals(domain, goals)
-        return self._soft if goals else None
+        """Return the problem for the planner."""
+        until = self._monitor.until()
+        return Problem(
+            domain=self._effects.domain,
+            state=state,
+            goals=tuple(goal.expression for goal in self.hard),
+            costs=self._monitor.belief.numbers,
+            weights=self.backoff.weights,
+            until=until,
+            shares=shares if until else {},
+            soft=self._goals.soft,
+        )
 
     def forget(self) -> None:
         """Give up wanted plans and planning under way; a known lack of a plan is kept."""
@@ -494,112 +740,110 @@ class Replanning:
         self._wanted = self._diagnosis = None
 
     def take(self, state: State) -> tuple[PlanExecution, Decision] | None:
-        """Take the answer; return the plan, or the safe step if there is none, with the decision that led to it."""
+        """Take the answer; return the plan, or the safe step, with the decision that led to it."""
         question, result = self._client.take()
-        if question.decision is None:
+        decision = question.decision
+        if decision is None:
             self._diagnose(result, state)
             return None
-        decision = question.decision
-        soft, promised = self._softened(), self._goals.hard
-        if soft is not None:
-            result, reached = soft.kept(result)
-            promised += reached
         outcome, domain = result.outcome, self._effects.domain
         is_fresh = domain is self._asked_in and self._is_same(state, question.problem.state)
-        record = (
-            question.at_s,
-            decision.reason,
-            outcome,
-            result.steps,
-            result.engine,
-            result.message,
-            decision.cause,
-        )
-        self.records = PlanRecord(*record).added_to(self.records, self._memory)
+        if outcome.is_solved:
+            assumed = self._effects.assumptions(result.steps, state)
+            result = replace(result, assumptions=assumed)
+        self._record(question, decision, result)
         if not outcome.is_passing:
-            self.setbacks.forget(None)
+            self.backoff.forget(None)
             self._in_vain.forget(None)
         elif not decision.is_needed:
             self._in_vain.add(None)
-        if outcome.is_solved:
-            plan = PlanExecution.of(domain, result, promised, self._clash)
-            wrong = plan.prediction(domain, state).flaw if is_fresh else None
-            if wrong is None:
-                return plan, decision
-            # asking again would give the same answer
-            why = f"no plan: what {result.engine} gave cannot be done event by event: {wrong}"
-            self._give_up(state, question.problem, why)
-            return None
-        return (
-            self._without_plan(question, result, state, is_fresh=is_fresh)
-            if decision.is_needed
-            else None
+        if not outcome.is_solved:
+            if not decision.is_needed:
+                return None
+            return self._without_plan(question, result, state, is_fresh=is_fresh)
+        plan = PlanExecution.of(domain, result, self.hard, self._clash)
+        if self._goals.soft:
+            plan = self._monitor.aimed(plan, question.problem.state, self.hard, self._goals.soft)
+        wrong = plan.prediction(domain, state).flaw if is_fresh else None
+        if wrong is None:
+            return plan, decision
+        # asking again would give the same answer
+        why = f"no plan: what {result.engine} gave cannot be done event by event: {wrong}"
+        self._give_up(state, question.problem, why)
+        return None
+
+    def _record(self, question: _Question, decision: Decision, result: PlanningResult) -> None:
+        record = PlanRecord(
+            at_s=question.at_s,
+            reason=decision.reason,
+            outcome=result.outcome,
+            steps=result.steps,
+            engine=result.engine,
+            message=result.message or "; ".join(result.assumptions),
+            cause=decision.cause,
         )
+        self.records = record.added_to(self.records, self._memory)
 
     def _without_plan(
         self, question: _Question, result: PlanningResult, state: State, *, is_fresh: bool
     ) -> tuple[PlanExecution, Decision] | None:
         """Start a diagnosis or a retry, or conclude; return the safe step as a plan if it can start."""
-        outcome, domain, reason = (
-            result.outcome,
-            self._effects.domain,
-            getattr(question.decision, "reason", ""),
-        )
+        outcome, domain = result.outcome, self._effects.domain
+        reason = question.decision.reason if question.decision is not None else ""
         why = f"no plan: {result.message or reason}"
-        why = why if str(outcome) in why else f"no plan, {outcome}: {result.message or reason}"
+        if str(outcome) not in why:
+            why = f"no plan, {outcome}: {result.message or reason}"
         was_stale, self._was_stale = self._was_stale, not is_fresh
         if outcome.is_passing:  # it does not tell whether there is a plan
-            count, is_over = self.setbacks.count(None) + 1, self.setbacks.add(None)
-            left_s = self.setbacks.wait_s(None)
-            if is_over:
-                why = f"{why}; tried {count} times, again in {left_s:.3g} s at the earliest"
-                self._give_up(state, question.problem, why, self._clock() + left_s)
-            else:
-                self.want(
-                    Decision(
-                        f"{outcome} after {reason}: retry {count} of {self._policy.retries}", True
-                    )
-                )
+            self._retry(question, f"{outcome} after {reason}", why, state)
         elif not is_fresh:
             self.want(Decision("the state changed during planning", is_needed=True))
         elif outcome.is_trouble:
             self._conclude(state, question.problem, [why])
         else:
-            goals = tuple(goal.expression for goal in self._goals.hard)
-            asked = question.problem
-            unsolved = Problem(
-                domain, state, goals, asked.costs, until=asked.until, shares=asked.shares
-            )
-            self._diagnosis = unsolved, why, diagnosis(unsolved, self._goals.hard)
+            unsolved = replace(question.problem, weights=question.problem.weights, soft=())
+            self._diagnosis = unsolved, why, diagnosis(unsolved, self.hard)
             self._diagnose(None, state)
         safe = result.safe_step
         # even if the state changes during every planning, the safe step is done
-        is_due = (
-            is_fresh or was_stale or outcome.is_passing
-        ) and safe not in self.setbacks.left_out
-        if safe is None or not is_due or missing_at_start(domain, safe, state) is not None:
+        is_due = is_fresh or was_stale or outcome.is_passing
+        if safe is None or not is_due or safe in self.backoff.left_out:
+            return None
+        if missing_at_start(domain, safe, state) is not None:
             return None
         plan = PlanExecution.of(domain, PlanningResult(Outcome.SOLVED, (safe,)), ())
         return plan, Decision("there is no plan", is_needed=True)
 
-    def _is_same(self, one: State, other: State) -> bool:
+    def _retry(self, question: _Question, reason: str, why: str, state: State) -> None:
+        """Ask again after a pause, or give up after too many retries."""
+        count = self.backoff.count(None) + 1
+        is_over = self.backoff.add(None)
+        left_s = self.backoff.wait_s(None)
+        if is_over:
+            why = f"{why}; tried {count} times, again in {left_s:.3g} s at the earliest"
+            self._give_up(state, question.problem, why, self._clock() + left_s)
+        else:
+            text = f"{reason}: retry {count} of {self._policy.retries}"
+            self.want(Decision(text, is_needed=True))
+
+    def _is_same(self, state: State, other: State) -> bool:
         """Whether two states are the same in everything that a plan or a goal may depend on."""
-        return not any(map(self.matters, one ^ other))
+        return not any(map(self.matters, state ^ other))
 
     def _give_up(self, state: State, problem: Problem, why: str, until_s: float = inf) -> None:
-        """Note that there is no plan with the numbers and forecasts of the request, which may have changed since.
+        """Note that there is no plan.
 
-        Planning is tried again when the pause of a step ends that is left out because it has failed.
+        Planning is tried again when the pause of a step ends that is left out as it has failed.
         """
-        out = self.setbacks.left_out
-        for step in out:
-            left_s = self.setbacks.wait_s(step)
-            why += f"; {step} has failed {self.setbacks.count(step)} times and is left out for {left_s:.3g} s"
+        for step in self.backoff.left_out:
+            left_s = self.backoff.wait_s(step)
+            count = self.backoff.count(step)
+            why += f"; {step} has failed {count} times and is left out for {left_s:.3g} s"
             until_s = min(until_s, self._clock() + left_s)
         self._dead_end = _DeadEnd(self._effects.domain, replace(problem, state=state), why, until_s)
 
     def _diagnose(self, answer: PlanningResult | None, state: State) -> None:
-        """Continue the diagnosis or conclude it; if the state has changed in the meantime, replan instead."""
+        """Continue the diagnosis or conclude it; if the state has changed meanwhile, replan."""
         assert self._diagnosis is not None
         problem, why, asking = self._diagnosis
         if problem.domain is not self._effects.domain or not self._is_same(problem.state, state):
@@ -611,7 +855,25 @@ class Replanning:
             self._client.ask(next(asking) if answer is None else asking.send(answer), None)
         except StopIteration as concluded:
             self._diagnosis = None
-            self._conclude(state, problem, [why, *concluded.value])
+            reasons: Reasons = concluded.value
+            left_out = tuple(goal for goal in self.hard if goal not in reasons.reachable)
+            is_worth_it = bool(reasons.reachable) and not self._is_last_try
+            done = self._monitor.holding(reasons.reachable, state)
+            if is_worth_it and (len(done) < len(reasons.reachable)):
+                self._leave_out(left_out, why)
+            else:
+                self._conclude(state, problem, [why, *reasons.sentences])
+
+    def _leave_out(self, goals: tuple[Goal, ...], why: str) -> None:
+        """Leave out goals for now, and plan for the others."""
+        self.left_out = (*self.left_out, *goals)
+        names = ", ".join(goal.text for goal in goals)
+        self.want(Decision(f"{names} out of reach for now; the others first", is_needed=True))
+        _LOG.info("%s left out: %s", names, why)
 
     def _conclude(self, state: State, problem: Problem, why: Sequence[str]) -> None:
-        self._give_up(state, problem, "; ".join(map(str, (*why, *self._effects.unmet))))
+        sentences = [*why, *map(str, self._effects.unmet)]
+        skipped = [goal for goal in self._goals.hard if goal not in self.hard]
+        if skipped:
+            sentences.append(f"left out: {', '.join(goal.text for goal in skipped)}")
+        self._give_up(state, problem, "; ".join(sentences))

@@ -1,78 +1,256 @@
-"""Evaluates formulas, effects and plans in a state: it validates every plan, independently of the planner."""
+"""Evaluates formulas, effects and plans in a state: it validates every plan, whoever made it."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from fractions import Fraction
-from functools import lru_cache, reduce
-from itertools import accumulate, groupby, permutations
+from dataclasses import replace
+from functools import lru_cache
+from itertools import accumulate, permutations
 from math import inf
-from operator import add, mul, sub
 from typing import NamedTuple
 
 from rosa_pddl.domain import (
+    TRUE,
+    Binding,
     Domain,
+    Effect,
     Exact,
+    Formula,
+    Number,
+    Schema,
     State,
     Step,
-    TimedStep,
-    UpThing,
+    atom_text,
+    bound,
     exact,
+    head_of,
+    names_in,
     number_fact,
     numbers_in,
     subject_of,
+    text_of,
 )
+from rosa_pddl.grounding import UnsearchableError, binding_of, cost_of, derive, duration_of
+from rosa_pddl.reader import computed
 
-Binding = Mapping[str, str]
 Facts = AbstractSet[str]
-
 _MOST_STATES = 64
 SAME_TIME_S = 1e-6
-"""Times that differ by less count as the same, because sums of an engine's times have rounding errors [s]."""
+"""Times that differ by less count as the same: sums of times have rounding errors [s]."""
 
 
-def goal_holds(domain: Domain, state: Facts, goals: Iterable[UpThing] | None = None) -> bool:
-    """Whether goals, as unified-planning expressions, hold in a state; by default the goal of the problem file."""
-    return all(
-        holds(domain, goal, {}, state)
-        for goal in (domain.up_problem.goals if goals is None else goals)
-    )
+class TimedStep(NamedTuple):
+    """A step of a plan in which steps overlap.
+
+    Args:
+        step: what is done.
+        start_s: when it starts, from the start of the plan [s].
+        duration_s: how long it takes [s]; 0 for an instantaneous action.
+    """
+
+    step: Step
+    start_s: float
+    duration_s: float
+
+    @property
+    def end_s(self) -> float:
+        """When it ends, from the start of the plan [s]."""
+        return self.start_s + self.duration_s
+
+
+class Values:
+    """What atoms and numbers are in a state; derived atoms are worked out when one is asked for.
+
+    Args:
+        domain: what `load_domain` returned.
+        facts: the true atoms, and the values of numbers that are part of a state.
+        numbers: the values of other numbers, where they differ from the problem file.
+    """
+
+    def __init__(
+        self, domain: Domain, facts: Facts, numbers: Mapping[str, float] | None = None
+    ) -> None:
+        self.domain = domain
+        self.facts = facts
+        self._others = numbers or {}
+        self._in_state: dict[str, Exact] | None = None
+        self._derived: frozenset[str] | None = None
+
+    def holds(self, formula: Formula, binding: Binding) -> bool:
+        """Whether a formula holds, with objects for its variables."""
+        head, *parts = formula
+        if head == "atom":
+            text = atom_text(parts[0], bound(parts[1], binding))
+            return text in self.facts or (bool(self.domain.axioms) and text in self.derived)
+        if head == "not":
+            return not self.holds(parts[0], binding)
+        if head == "and":
+            return all(self.holds(part, binding) for part in parts)
+        if head == "or":
+            return any(self.holds(part, binding) for part in parts)
+        if head == "same":
+            one, two = bound(parts, binding)
+            return one == two
+        if head == "in":
+            lineage = self.domain.types[binding.get(parts[0], parts[0])]
+            return any(kind in lineage for kind in parts[1])
+        if head in ("forall", "exists"):
+            bindings = self.domain.bindings(parts[0], binding)
+            results = (self.holds(parts[1], inner) for inner in bindings)
+            return all(results) if head == "forall" else any(results)
+        left, right = (self.number(part, binding) for part in parts)
+        if left is None or right is None:
+            return False
+        if head == "=":
+            return left == right
+        if head == "!=":
+            return left != right
+        return left < right if head == "<" else left <= right
+
+    def number(self, number: Number, binding: Binding) -> Exact | None:
+        """Return the exact value of a number; None if it, or a part of it, has none."""
+        if not isinstance(number, tuple):
+            return number  # type: ignore[no-any-return]  # it is exact
+        head, *parts = number
+        if head == "n":
+            text = parts[0] if len(parts) == 1 else atom_text(parts[0], bound(parts[1], binding))
+            return self.value_of(text)
+        values = [self.number(part, binding) for part in parts]
+        if None in values or (head == "/" and 0 in values[1:]):
+            return None
+        return computed(head, [value for value in values if value is not None])
+
+    def value_of(self, text: str) -> Exact | None:
+        """Return the value of a number such as `(fuel rover)`."""
+        if self._in_state is None:
+            self._in_state = _numbers(frozenset(self.facts)) if self.domain.computed else {}
+        if text in self._in_state:
+            return self._in_state[text]
+        if head_of(text) in self.domain.computed:
+            return None
+        value = self._others.get(text, self.domain.numbers.get(text))
+        return None if value is None else exact(value)
+
+    @property
+    def derived(self) -> frozenset[str]:
+        """The atoms that follow by the axioms."""
+        if self._derived is None:
+            self._derived = _derived(self.domain, frozenset(self.facts))
+        return self._derived
+
+
+@lru_cache(_MOST_STATES)
+def _numbers(facts: State) -> dict[str, Exact]:
+    return numbers_in(facts)
+
+
+@lru_cache(_MOST_STATES)
+def _derived(domain: Domain, facts: State) -> frozenset[str]:
+    values = Values(domain, facts)
+    return derive(domain, facts, lambda test: values.holds(test, {}))
+
+
+def goal_holds(domain: Domain, state: Facts, goals: Iterable[Formula] | None = None) -> bool:
+    """Whether goals hold in a state; by default the goal of the problem file."""
+    values = Values(domain, state)
+    return all(values.holds(goal, {}) for goal in (domain.goal if goals is None else goals))
+
+
+# ---------------------------------------------------------------- one step
 
 
 def missing_at_start(domain: Domain, step: Step, state: Facts) -> str | None:
-    """Return the first condition, as text, that prevents a step from starting; None if it can start.
+    """Return the first condition, as text, that prevents a step from starting; None if none does.
 
-    It supposes that nothing else happens while the step runs: later conditions must hold after its start effects.
+    It supposes that nothing else happens while the step runs: later conditions must hold after
+    its start effects.
     """
-    schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
-    after = _after(domain, schema.start_effects, binding, state) if schema.start_effects else state
-    missing = missing_of(domain, schema.start, binding, state)
-    return missing or missing_of(domain, schema.over_all + schema.end, binding, after)
+    schema = domain.schema_of[step.schema]
+    missing = missing_of(domain, schema.start, step, state)
+    after = started(domain, step, frozenset(state)) if schema.start_effects else state
+    return missing or missing_of(domain, schema.over_all + schema.end, step, after)
 
 
 def missing_meanwhile(domain: Domain, step: Step, state: State) -> str | None:
-    """Return the first `over all` condition of a running step, as text, that does not hold in a state; None if all do.
+    """Return the first condition of a running step, as text, that does not hold; None if all do.
 
-    The step's ROSA action must stay feasible at whatever time the file requires it, as the execution takes time.
+    The step's ROSA action must stay feasible at whatever time the file requires it.
     """
     schema = domain.schema_of[step.schema]
-    timely = [formula for formula in schema.start + schema.end if _is_feasibility(domain, formula)]
-    return missing_of(domain, (*schema.over_all, *timely), binding_of(domain, step), state)
+    conditions = list(schema.over_all)
+    for formula in schema.start + schema.end:
+        if formula[0] == "atom" and domain.is_feasibility(f"({formula[1]})"):
+            conditions.append(formula)
+    return missing_of(domain, conditions, step, state)
 
 
 def missing_at_end(domain: Domain, step: Step, state: State) -> str | None:
-    return missing_of(domain, domain.schema_of[step.schema].end, binding_of(domain, step), state)
+    """Return the first condition of a step's end, as text, that does not hold; None if all do."""
+    return missing_of(domain, domain.schema_of[step.schema].end, step, state)
+
+
+def missing_of(domain: Domain, formulas: Iterable[Formula], step: Step, state: Facts) -> str | None:
+    """Return the first formula, as text, that does not hold for a step; None if all do."""
+    values = Values(domain, state)
+    binding = binding_of(domain, step)
+    for formula in formulas:
+        if not values.holds(formula, binding):
+            return text_of(formula, binding)
+    return None
 
 
 def started(domain: Domain, step: Step, state: State) -> State:
-    return _after(
-        domain, domain.schema_of[step.schema].start_effects, binding_of(domain, step), state
-    )
+    """Return the state after the start of a step."""
+    return _after(domain, domain.schema_of[step.schema].start_effects, step, state)
 
 
 def ended(domain: Domain, step: Step, state: State) -> State:
-    return _after(
-        domain, domain.schema_of[step.schema].end_effects, binding_of(domain, step), state
-    )
+    """Return the state after the end of a step."""
+    return _after(domain, domain.schema_of[step.schema].end_effects, step, state)
+
+
+def _after(domain: Domain, effects: Iterable[Effect], step: Step, state: State) -> State:
+    deleted, added = changes(domain, effects, binding_of(domain, step), state)
+    return frozenset((state - deleted) | added)
+
+
+def changes(
+    domain: Domain, effects: Iterable[Effect], binding: Binding, state: Facts
+) -> tuple[set[str], set[str]]:
+    """Return the facts that effects make false and true; if both, true wins, as in PDDL."""
+    values = Values(domain, state)
+    added, deleted = set[str](), set[str]()
+    numbers = dict[str, Exact | None]()
+    for effect in effects:
+        if effect.is_numeric and effect.name not in domain.computed:
+            continue
+        for inner in domain.bindings(effect.variables, binding) if effect.variables else (binding,):
+            if effect.condition != TRUE and not values.holds(effect.condition, inner):
+                continue
+            text = atom_text(effect.name, bound(effect.terms, inner))
+            if not effect.is_numeric:
+                (added if effect.kind == "add" else deleted).add(text)
+                continue
+            amount = values.number(effect.amount, inner)
+            before = numbers.get(text, values.value_of(text))
+            numbers[text] = _changed(effect.kind, before, amount)
+    for text, value in numbers.items():
+        if value is not None:
+            before = values.value_of(text)
+            if before is not None:
+                deleted.add(number_fact(text, before))
+            added.add(number_fact(text, value))
+    return deleted, added
+
+
+def _changed(kind: str, before: Exact | None, amount: Exact | None) -> Exact | None:
+    if kind == "assign":
+        return amount
+    if before is None or amount is None:
+        return None
+    return before + amount if kind == "increase" else before - amount
+
+
+# ---------------------------------------------------------------- whole plans
 
 
 class StepEvent(NamedTuple):
@@ -91,37 +269,36 @@ def replay(
     until: Mapping[str, float] | None = None,
     ends_s: Sequence[float] = (),
 ) -> tuple[str | None, State]:
-    """Replay a plan event by event with the semantics of PDDL 2.1; every plan is validated by this.
+    """Replay a plan event by event with the semantics of PDDL 2.1; it validates every plan.
 
-    Conditions at the start or the end must hold just before it; `over all` conditions from just after the start until
-    just before the end. Of two events at the same time, neither may change what the other needs or changes.
-    End conditions of steps that run already are not checked, as the world may make them true.
-    `until` gives how long feasibility facts hold [s]: a step that needs one must not end later, by its time in `ends_s`
-    [s], unless an earlier step has made the fact true again.
+    Conditions at the start or the end must hold just before it; `over all` conditions from just
+    after the start until just before the end. Of two events at the same time, neither may change
+    what the other needs or changes. End conditions of steps that run already are not checked, as
+    the world may make them true. `until` gives how long feasibility facts hold [s]: a step that
+    needs one must not end later, by its time in `ends_s` [s], unless an earlier step has made the
+    fact true again.
 
     Returns:
-        Why the plan cannot be executed, in words, or None; and the true atoms at its end, or where it failed.
+        Why the plan cannot be executed, in words, or None; and the true atoms where that ends.
     """
-    facts, under_way, begun, left = set(state), list(running), frozenset(running), dict(until or {})
+    facts = set(state)
+    under_way = list(running)
+    begun = frozenset(running)
+    left = dict(until or {})
     for moment in moments:
-        late = (
-            _too_late(domain, steps[number], ends_s[number], left, facts)
-            for number, _ in moment
-            if left
-        )
-        too_late = next(filter(None, late), None)
-        wrong = _happen(domain, steps, moment, facts, begun, left) or too_late
+        late = None
+        for number, _ in moment:
+            if left and late is None:
+                late = _too_late(domain, steps[number], ends_s[number], left, facts)
+        wrong = _happen(domain, steps, moment, facts, begun, left) or late
         for number, is_end in moment:
             if is_end:
                 under_way.remove(number)
             else:
                 under_way.append(number)
         for number in under_way if wrong is None else ():
-            schema, binding = (
-                domain.schema_of[steps[number].schema],
-                binding_of(domain, steps[number]),
-            )
-            missing = missing_of(domain, schema.over_all, binding, facts)
+            over_all = domain.schema_of[steps[number].schema].over_all
+            missing = missing_of(domain, over_all, steps[number], facts)
             if missing is not None:
                 wrong = because(domain, steps[number], missing)
                 break
@@ -134,14 +311,14 @@ def _too_late(
     domain: Domain, step: Step, end_s: float, left: Mapping[str, float], facts: Facts
 ) -> str | None:
     gone = {atom for atom, left_s in left.items() if atom in facts and end_s - left_s > SAME_TIME_S}
-    schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
-    for formula in (*schema.start, *schema.over_all, *schema.end) if gone else ():
-        if holds(domain, formula, binding, facts) and not holds(
-            domain, formula, binding, facts - gone
-        ):
-            over_s = end_s - min(
-                left[atom] for atom in gone.intersection(_atoms(domain, formula, binding))
-            )
+    if not gone:
+        return None
+    binding = binding_of(domain, step)
+    now, then = Values(domain, facts), Values(domain, facts - gone)
+    for formula in domain.schema_of[step.schema].conditions:
+        if now.holds(formula, binding) and not then.holds(formula, binding):
+            needed = gone.intersection(mentioned_atoms(domain, [formula], (), binding))
+            over_s = end_s - min(left[atom] for atom in needed or gone)
             return f"{step} would end in {end_s:.3g} s, too late by {over_s:.2g} s"
     return None
 
@@ -154,15 +331,18 @@ def _happen(
     begun: AbstractSet[int],
     left: dict[str, float],
 ) -> str | None:
-    """Apply the events of one moment to the facts and to their times left; return why that is impossible, or None."""
+    """Apply the events of one moment to facts and times left; return why it cannot be, or None."""
     gone, come = set[str](), set[str]()
     touched: list[tuple[int, AbstractSet[str], AbstractSet[str]]] = []
     for number, is_end in moment:
         step = steps[number]
-        schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
-        conditions = () if is_end and number in begun else schema.end if is_end else schema.start
+        schema = domain.schema_of[step.schema]
+        binding = binding_of(domain, step)
+        conditions = schema.end if is_end else schema.start
+        if is_end and number in begun:
+            conditions = ()
         effects = schema.end_effects if is_end else schema.start_effects
-        missing = missing_of(domain, conditions, binding, facts)
+        missing = missing_of(domain, conditions, step, facts)
         if missing is not None:
             return because(domain, step, missing)
         deleted, added = changes(domain, effects, binding, facts)
@@ -170,11 +350,12 @@ def _happen(
         come |= added
         if len(moment) > 1:
             read = set(mentioned_atoms(domain, conditions, effects, binding))
-            touched.append((number, read, set(map(subject_of, deleted | added))))
+            touched.append((number, read, {subject_of(fact) for fact in deleted | added}))
     for (one, needed, changed), (other, _, changed_too) in permutations(touched, 2):
-        if one != other and changed_too & (needed | changed):
-            atom = min(changed_too & (needed | changed))
-            return f"{steps[one]} and {steps[other]} get in each other's way over {atom}"
+        shared = changed_too & (needed | changed)
+        if one != other and shared:
+            both = f"{steps[one]} and {steps[other]}"
+            return f"{both} get in each other's way over {min(shared)}"
     facts -= gone
     facts |= come
     for atom in come & left.keys():
@@ -183,16 +364,16 @@ def _happen(
 
 
 def one_after_the_other(count: int) -> tuple[tuple[StepEvent], ...]:
-    return tuple(
-        (StepEvent(number, is_end),) for number in range(count) for is_end in (False, True)
-    )
+    """Return the moments of steps that follow one another."""
+    events = [StepEvent(number, is_end) for number in range(count) for is_end in (False, True)]
+    return tuple((event,) for event in events)
 
 
 def flaw(
     domain: Domain,
     steps: Iterable[Step],
     state: State,
-    goals: Iterable[UpThing] | None = None,
+    goals: Iterable[Formula] | None = None,
     until: Mapping[str, float] | None = None,
     ends_s: Sequence[float] = (),
 ) -> str | None:
@@ -202,48 +383,69 @@ def flaw(
         domain: what `load_domain` returned.
         steps: the plan; its steps follow one another.
         state: the true atoms at the start.
-        goals: the goals, as unified-planning expressions; by default the goal of the problem file.
+        goals: the goals, as formulas; by default the goal of the problem file.
         until: how much longer feasibility facts hold, see `Problem` [s].
-        ends_s: when each step ends [s]; by default from the declared durations, see `Domain.duration_s`.
+        ends_s: when each step ends [s]; by default from the declared durations.
     """
     listed = tuple(steps)
-    ends_s = ends_s or tuple(accumulate(domain.duration_s(step.schema) for step in listed))
-    wrong, facts = replay(
-        domain, listed, one_after_the_other(len(listed)), state, until=until, ends_s=ends_s
-    )
-    return wrong or (
-        None if goal_holds(domain, facts, goals) else "the rest of the plan does not reach the goal"
-    )
+    ends_s = ends_s or tuple(accumulate(takes_s(domain, step, state) for step in listed))
+    events = one_after_the_other(len(listed))
+    wrong, facts = replay(domain, listed, events, state, until=until, ends_s=ends_s)
+    if wrong is None and not goal_holds(domain, facts, goals):
+        return "the rest of the plan does not reach the goal"
+    return wrong
 
 
 def schedule_flaw(
     domain: Domain,
     schedule: Sequence[TimedStep],
     state: State,
-    goals: Iterable[UpThing] | None = None,
+    goals: Iterable[Formula] | None = None,
     until: Mapping[str, float] | None = None,
+    numbers: Mapping[str, float] | None = None,
 ) -> str | None:
-    """Return why a schedule, whose steps may overlap, does not lead from a state to the goal; like `flaw`."""
+    """Return why a schedule, whose steps may overlap, does not lead to the goal; like `flaw`."""
+    domain, schedule = _with_timed_facts(domain, schedule)
+    values = Values(domain, state, numbers)
     for timed in schedule:
-        if not _lasts_as_declared(domain, timed):
+        if not _lasts_as_declared(values, timed):
             return f"{timed.step} takes {timed.duration_s:g} s, which is not its duration"
     steps = [timed.step for timed in schedule]
     ends_s = [timed.end_s for timed in schedule]
     wrong, facts = replay(domain, steps, moments(schedule), state, until=until, ends_s=ends_s)
-    return wrong or (
-        None if goal_holds(domain, facts, goals) else "the plan does not reach the goal"
-    )
+    if wrong is None and not goal_holds(domain, facts, goals):
+        return "the plan does not reach the goal"
+    return wrong
 
 
-def _lasts_as_declared(domain: Domain, timed: TimedStep) -> bool:
-    """Whether a step lasts as long as declared; durations that depend on numeric facts are not checked."""
+def _with_timed_facts(
+    domain: Domain, schedule: Sequence[TimedStep]
+) -> tuple[Domain, Sequence[TimedStep]]:
+    """Add facts that change by themselves as instantaneous steps."""
+    schemas = dict(domain.schema_of)
+    steps = list(schedule)
+    for number, fact in enumerate(domain.timed):
+        name, *words = fact.atom[1:-1].split()
+        effect = Effect("add" if fact.is_true else "delete", name, tuple(words))
+        schemas[f"@{number}"] = Schema(f"@{number}", (), end_effects=(effect,))
+        steps.append(TimedStep(Step(f"@{number}"), fact.at_s, 0.0))
+    return (replace(domain, schema_of=schemas), steps) if domain.timed else (domain, schedule)
+
+
+def _lasts_as_declared(values: Values, timed: TimedStep) -> bool:
+    """Whether a step lasts as declared; a duration that depends on what changes is not checked."""
+    domain = values.domain
     duration = domain.schema_of[timed.step.schema].duration
     if duration is None:
         return timed.duration_s == 0.0
-    lower, upper = duration.lower, duration.upper
-    least = float(lower.constant_value()) if lower.is_constant() else 0.0
-    most = float(upper.constant_value()) if upper.is_constant() else timed.duration_s
-    return least - SAME_TIME_S <= timed.duration_s <= most + SAME_TIME_S and timed.duration_s > 0.0
+    binding = binding_of(domain, timed.step)
+    least, most = (
+        None if names_in([bound_s]) & domain.computed else values.number(bound_s, binding)
+        for bound_s in duration
+    )
+    is_long = least is None or timed.duration_s >= least - SAME_TIME_S
+    is_short = most is None or timed.duration_s <= most + SAME_TIME_S
+    return is_long and is_short and timed.duration_s > 0.0
 
 
 def moments(schedule: Sequence[TimedStep]) -> Iterator[list[StepEvent]]:
@@ -259,221 +461,99 @@ def moments(schedule: Sequence[TimedStep]) -> Iterator[list[StepEvent]]:
         if not together:
             began_s = at_s
         together.append(event)
-    yield together
+    if together:
+        yield together
 
 
 def because(domain: Domain, step: Step, missing: str, verb: str = "is") -> str:
+    """Return in words why a step cannot go on."""
     if step.action is not None and missing == domain.feasible_atom(step.action):
         return f"{step.action} {verb} unfeasible"
     return f"{step} needs {missing}, which does not hold"
 
 
-def _is_feasibility(domain: Domain, formula: UpThing) -> bool:
-    return bool(formula.is_fluent_exp()) and domain.is_feasibility(
-        f"({domain.outside[formula.fluent().name]})"
-    )
+# ---------------------------------------------------------------- costs and times
 
 
-def binding_of(domain: Domain, step: Step) -> Binding:
-    names = (name for name, _ in domain.schema_of[step.schema].parameters)
-    return dict(zip(names, step.arguments, strict=True))
+def takes_s(
+    domain: Domain, step: Step, state: Facts, numbers: Mapping[str, float] | None = None
+) -> float:
+    """Return the shortest duration of a step [s]; 0 if it is unknown."""
+    value = Values(domain, state, numbers).number(duration_of(domain, step), {})
+    return float(value or 0)
 
 
-def missing_of(
-    domain: Domain, formulas: Iterable[UpThing], binding: Binding, state: Facts
-) -> str | None:
-    for formula in formulas:
-        if not holds(domain, formula, binding, state):
-            return text_of(domain, formula, binding)
-    return None
+def step_costs(
+    domain: Domain,
+    steps: Iterable[Step],
+    state: State,
+    numbers: Mapping[str, float] | None = None,
+    begun: int = 0,
+) -> list[float | None]:
+    """Return what each step costs when its turn comes; None if that is unknown.
+
+    The first `begun` steps run already, so their start effects are in the state.
+    """
+    costs = list[float | None]()
+    for number, step in enumerate(steps):
+        values = Values(domain, state, numbers)
+        try:
+            cost = values.number(cost_of(domain, step), {})
+        except UnsearchableError:
+            cost = None
+        costs.append(None if cost is None else float(cost))
+        if domain.computed:
+            before = state if number < begun else started(domain, step, state)
+            state = ended(domain, step, before)
+    return costs
 
 
-def holds(domain: Domain, formula: UpThing, binding: Binding, state: Facts) -> bool:
-    if formula.is_fluent_exp():
-        text = text_of(domain, formula, binding)
-        is_open = domain.axiom(formula) is not None and not isinstance(state, _Derived)
-        return text in (_derived(domain, frozenset(state)) if is_open else state)
-    if formula.is_bool_constant():
-        return bool(formula.constant_value())
-    if formula.is_equals() and formula.arg(0).type.is_user_type():
-        left, right = (text_of(domain, side, binding) for side in formula.args)
-        return left == right
-    if formula.is_equals() or formula.is_le() or formula.is_lt():
-        one, other = (value_of(domain, side, binding, state) for side in formula.args)
-        if one is None or other is None:
-            return False
-        return (
-            one == other
-            if formula.is_equals()
-            else one <= other
-            if formula.is_le()
-            else one < other
-        )
-    if formula.is_exists() or formula.is_forall():
-        bindings = domain.bindings(formula.variables(), binding)
-        results = (holds(domain, formula.arg(0), inner, state) for inner in bindings)
-        return any(results) if formula.is_exists() else all(results)
-    parts = [holds(domain, part, binding, state) for part in formula.args]
-    if formula.is_and() or formula.is_or():
-        return all(parts) if formula.is_and() else any(parts)
-    if formula.is_not() or formula.is_implies():
-        return not parts[0] or any(parts[1:])
-    assert formula.is_iff(), f"the reader let an unsupported formula through: {formula}"
-    return parts[0] == parts[1]
-
-
-class _Derived(set[str]):
-    """A state with the atoms that have been derived from it so far."""
-
-
-@lru_cache(_MOST_STATES)
-def _derived(domain: Domain, state: State) -> AbstractSet[str]:
-    """Return a state with all derived atoms, computed layer by layer until nothing more follows."""
-    found = _Derived(state)
-    for _, layer in groupby(
-        sorted(domain.axioms.items(), key=lambda one: one[1].layer), lambda one: one[1].layer
-    ):
-        left = [
-            (domain.inside["predicate", name], one.condition, binding)
-            for name, one in layer
-            for binding in domain.bindings((variable.variable() for variable in one.variables), {})
-        ]
-        while new := [one for one in left if holds(domain, *one[1:], found)]:
-            found.update(
-                f"({' '.join([domain.outside[name], *binding.values()])})"
-                for name, _, binding in new
-            )
-            left = [one for one in left if one not in new]
-    return found
-
-
-def value_of(domain: Domain, number: UpThing, binding: Binding, state: Facts) -> Exact | None:
-    """Return the exact value of a number in a state; None if it, or a part of it, has no value."""
-    if number.is_constant():
-        return exact(Fraction(number.constant_value()))
-    if number.is_fluent_exp():
-        text = text_of(domain, number, binding)
-        start = f"(= {text} "
-        return numbers_in(fact for fact in state if fact.startswith(start)).get(text)
-    parts = [value_of(domain, part, binding, state) for part in number.args]
-    known = [part for part in parts if part is not None]
-    if len(known) < len(parts) or (number.is_div() and not known[1]):
-        return None
-    return reduce(_COMPUTED[number.node_type.name], known)
-
-
-def _after(domain: Domain, effects: Iterable[UpThing], binding: Binding, state: Facts) -> State:
-    deleted, added = changes(domain, effects, binding, state)
-    return frozenset((state - deleted) | added)
-
-
-def changes(
-    domain: Domain, effects: Iterable[UpThing], binding: Binding, state: Facts
-) -> tuple[AbstractSet[str], AbstractSet[str]]:
-    """Return the atoms that the effects of one moment make false and true; if both, true wins, as in PDDL."""
-    added, deleted = set[str](), set[str]()
-    numbers = dict[str, tuple[Exact | None, Exact | None]]()
-    for effect in effects:
-        for inner in domain.bindings(effect.forall, binding) if effect.forall else (binding,):
-            if holds(domain, effect.condition, inner, state):
-                text = text_of(domain, effect.fluent, inner)
-                if effect.fluent.fluent().type.is_bool_type():
-                    (added if holds(domain, effect.value, inner, state) else deleted).add(text)
-                    continue
-                before = value_of(domain, effect.fluent, inner, state)
-                _, now = numbers.get(text, (before, before))
-                numbers[text] = (
-                    before,
-                    _changed(effect, now, value_of(domain, effect.value, inner, state)),
-                )
-    for text, (before, now) in numbers.items():
-        if now is not None:
-            deleted |= set() if before is None else {number_fact(text, before)}
-            added.add(number_fact(text, now))
-    return deleted, added
-
-
-def _changed(effect: UpThing, now: Exact | None, amount: Exact | None) -> Exact | None:
-    if effect.is_assignment() or now is None or amount is None:
-        return amount if effect.is_assignment() else None
-    return now + amount if effect.is_increase() else now - amount
+# ---------------------------------------------------------------- what steps touch
 
 
 def mentioned_atoms(
-    domain: Domain, conditions: Iterable[UpThing], effects: Iterable[UpThing], binding: Binding
+    domain: Domain, conditions: Iterable[Formula], effects: Iterable[Effect], binding: Binding
 ) -> Iterator[str]:
     """Yield the atoms that conditions and the conditions of effects mention."""
+    seen = set[str]()
     for formula in conditions:
-        yield from _atoms(domain, formula, binding)
+        yield from _atoms(domain, formula, binding, seen)
     for effect in effects:
-        for inner in domain.bindings(effect.forall, binding):
-            yield from _atoms(domain, effect.condition, inner)
-            yield from _atoms(domain, effect.value, inner)
+        for inner in domain.bindings(effect.variables, binding):
+            yield from _atoms(domain, effect.condition, inner, seen)
+            if isinstance(effect.amount, tuple):
+                yield from _atoms(domain, effect.amount, inner, seen)
 
 
-def affected_atoms(domain: Domain, effects: Iterable[UpThing], binding: Binding) -> Iterator[str]:
+def affected_atoms(domain: Domain, effects: Iterable[Effect], binding: Binding) -> Iterator[str]:
     """Yield the atoms that effects may change, whether or not their conditions hold."""
     for effect in effects:
-        for inner in domain.bindings(effect.forall, binding):
-            yield text_of(domain, effect.fluent, inner)
+        for inner in domain.bindings(effect.variables, binding):
+            yield atom_text(effect.name, bound(effect.terms, inner))
 
 
-def _atoms(
-    domain: Domain, formula: UpThing, binding: Binding, seen: set[str] | None = None
-) -> Iterator[str]:
-    seen = set() if seen is None else seen
-    if formula.is_fluent_exp():
-        text, axiom = text_of(domain, formula, binding), domain.axiom(formula)
-        if axiom is None:
+def _atoms(domain: Domain, formula: Formula, binding: Binding, seen: set[str]) -> Iterator[str]:
+    head, *parts = formula
+    if head in ("atom", "n") and len(parts) == 2:
+        text = atom_text(parts[0], bound(parts[1], binding))
+        axioms = domain.axioms.get(parts[0].lower()) if domain.axioms else None
+        if axioms is None:
             yield text
         elif text not in seen:
             seen.add(text)
-            names = [one.variable().name for one in axiom.variables]
-            yield from _atoms(
-                domain, axiom.condition, dict(zip(names, text[1:-1].split()[1:], strict=True)), seen
-            )
-    elif formula.is_exists() or formula.is_forall():
-        for inner in domain.bindings(formula.variables(), binding):
-            yield from _atoms(domain, formula.arg(0), inner, seen)
-    else:
-        for part in formula.args:
-            yield from _atoms(domain, part, binding, seen)
+            objects = text[1:-1].split()[1:]
+            for axiom in axioms:
+                names = [name for name, _ in axiom.variables]
+                arguments = dict(zip(names, objects, strict=True))
+                yield from _atoms(domain, axiom.condition, arguments, seen)
+    elif head in ("forall", "exists"):
+        for inner in domain.bindings(parts[0], binding):
+            yield from _atoms(domain, parts[1], inner, seen)
+    elif head not in ("same", "in"):
+        for part in parts:
+            if isinstance(part, tuple):
+                yield from _atoms(domain, part, binding, seen)
 
 
-def text_of(domain: Domain, formula: UpThing, binding: Binding) -> str:
-    """Return a formula as PDDL text in the names of the files, with its parameters replaced by their bindings."""
-    if formula.is_parameter_exp():
-        return binding.get(formula.parameter().name, f"?{formula.parameter().name}")
-    if formula.is_variable_exp():
-        return binding.get(formula.variable().name, f"?{formula.variable().name}")
-    if formula.is_object_exp():
-        return domain.outside[formula.object().name]
-    if formula.is_bool_constant():
-        return "(and)" if formula.is_true() else "(or)"
-    if formula.is_constant():
-        return str(formula.constant_value())
-    parts = [text_of(domain, part, binding) for part in formula.args]
-    if formula.is_iff():
-        return f"(and (imply {parts[0]} {parts[1]}) (imply {parts[1]} {parts[0]}))"
-    if formula.is_fluent_exp():
-        head = domain.outside[formula.fluent().name]
-    else:
-        head = _HEADS.get(formula.node_type.name, formula.node_type.name.lower())
-    if formula.is_exists() or formula.is_forall():
-        variables = (
-            f"?{one.name} - {domain.outside[one.type.name]}" for one in formula.variables()
-        )
-        parts.insert(0, f"({' '.join(variables)})")
-    return "(" + " ".join([head, *parts]) + ")"
-
-
-_HEADS = {
-    **{"EQUALS": "=", "IMPLIES": "imply", "LE": "<=", "LT": "<"},
-    **{"PLUS": "+", "MINUS": "-", "TIMES": "*", "DIV": "/"},
-}
-_COMPUTED = {
-    "PLUS": add,
-    "MINUS": sub,
-    "TIMES": mul,
-    "DIV": lambda one, other: Fraction(one) / other,
-}
+Clash = Callable[[Step, Step], bool]
+"""Tells whether two steps must not run at the same time, whatever they need and change."""

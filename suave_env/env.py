@@ -82,6 +82,8 @@ class SuaveEnv:
         self.settings = settings
         east, north, bias = rng.standard_normal(3).tolist()
         phases = rng.random(8).tolist()
+        is_late = float(rng.random()) < settings.late_boot_share
+        late_m = floated(settings, settings.late_boot_s) if is_late else 0.0
         x = settings.start_x_m + settings.start_x_sd_m * east
         y = settings.start_y_m + settings.start_y_sd_m * north
         self.now = 0.0
@@ -94,8 +96,8 @@ class SuaveEnv:
         self._water, self._thrusters = Water(settings), Thrusters(settings)
         self.pipeline = Pipeline(settings)
         self.station = (settings.station_x_m, settings.station_y_m)
-        self._vehicle = Vehicle(settings, x, y, settings.start_z_m + floated(settings))
-        bias = settings.bias_m + settings.bias_sd_m * bias
+        self._vehicle = Vehicle(settings, x, y, settings.start_z_m + floated(settings) + late_m)
+        bias = settings.bias_m + settings.bias_sd_m * bias + late_m
         self._autopilot = Autopilot(settings, self._vehicle, self._thrusters, bias)
         self._spiral = SpiralSearch(settings, self._autopilot, (x, y))
         self._follower = FollowPipeline(settings, self._autopilot, self._outbox)

@@ -57,6 +57,7 @@ _SUB = "ArduPilot, defaults of Sub"
 _OWN = "own choice"
 _FITTED = "calibrated on three groups of published runs, see docs/sea.md"
 _DRAWN = "calibrated on the table of the ROSA paper, see docs/sea.md"
+_SPREAD = "calibrated on the published deviations of managed runs, see docs/sea.md"
 _ROS = "typical of ROS 2 (10 to 50 ms)"
 _EXPERIMENT = "extended SUAVE experiment of the ROSA paper (300 s, visibility period 80 s)"
 
@@ -116,6 +117,12 @@ class Settings:
     bias_sd_m: float = _setting(0.18, "m", "standard deviation of that bias", _DRAWN, 0)
     boot_s: float = _setting(
         30.0, "s", "time during which the vehicle floats up before GUIDED", _SUAVE, 0, 100
+    )
+    late_boot_share: float = _setting(
+        0.0, "-", "share of the runs whose boot is too long (published: 0.015)", _SPREAD, 0, 1
+    )
+    late_boot_s: float = _setting(
+        15.0, "s", "how much longer such a boot is, which adds to height and bias", _SPREAD, 0, 100
     )
     start_delay_s: float = _setting(4.0, "s", "time until the first setpoint is obeyed", _FITTED, 0)
 

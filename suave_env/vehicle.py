@@ -167,18 +167,16 @@ class Vehicle:
         self._step(self.model, self.data, self._substeps)
 
 
-def floated(settings: Settings) -> float:
-    """Return how far the vehicle, which is lighter than water, rises by itself before GUIDED [m].
+def floated(settings: Settings, time_s: float | None = None) -> float:
+    """Return how far the vehicle, which is lighter than water, rises by itself in a time, by default the boot [m].
 
     It rises at the speed at which drag equals the surplus of buoyancy, which it reaches within a second.
     """
     surplus = (settings.displaced_mass_kg - settings.mass_kg) * settings.gravity_m_s2
-    speed = (
-        math.copysign(math.sqrt(abs(surplus) / settings.drag_heave), surplus)
-        if settings.drag_heave
-        else 0.0
-    )
-    return speed * settings.boot_s
+    if not settings.drag_heave:
+        return 0.0
+    speed = math.copysign(math.sqrt(abs(surplus) / settings.drag_heave), surplus)
+    return speed * (settings.boot_s if time_s is None else time_s)
 
 
 def _compiled(mujoco: Any, settings: Settings) -> Any:  # noqa: ANN401 - MuJoCo ships no types

@@ -1,19 +1,18 @@
 """Buildings of any size, made by chance, and questions about them as PDDL for planners that know of no corridors."""
 
 import math
-from dataclasses import replace
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Final
 
 from numpy.random import Generator
 
+from missions import agv
 from missions.agv.joint import Place, Task
 from missions.agv.model import Building, Corridor
-from missions.agv.tree import SWITCH, PddlNames, cross_schema, switch_schema
+from missions.agv.tree import SWITCH, PddlNames, left_of, used
 from missions.engine.mission import MissionError
-from rosa_pddl import Planner, PlanningResult
-from rosa_pddl.domain import FEASIBLE
-from rosa_pddl.generation import Declarations
-from rosa_pddl.problem import Problem, initial_state
+from rosa_pddl import Domain, Planner, PlanningResult, Problem, initial_state, parse_domain
 
 _GRID_M: Final = 12.0
 
@@ -84,25 +83,40 @@ def _chosen(pairs: list[tuple[int, int]], places: int, corridors: int) -> list[t
     return tree + rest[: corridors - len(tree)]
 
 
-def declarations_of_task(task: Task) -> Declarations:
+def domain_of_task(task: Task) -> Domain:
     """Return a question as PDDL by itself, with its limits."""
     start = task.start[0]
     places = [*map(Place, task.building.places), *([start] if start.corridor else [])]
     modes = {leg.mode.name: leg.mode for place in places for leg, _ in task.crossings(place)}
     pddl = PddlNames(task.building, modes.values(), task.limited)
-    known = pddl.facts(task)
-    facts = [fact for fact, is_so in known.items() if is_so is True]
-    facts += [f"({FEASIBLE} {action})" for action in (SWITCH, *pddl.actions.values())]
-    problem = replace(
-        pddl.problem,
-        goal=(f"(at {pddl.places[task.goal]})",),
-        facts=(*pddl.problem.facts, *facts),
-        numbers={name: value for name, value in known.items() if not isinstance(value, bool)},
-    )
-    return Declarations("joint", [switch_schema(task.limited), cross_schema(task.limited)], problem)
+    facts = pddl.facts(task)
+    init = [fact for fact, is_so in facts.items() if is_so is True]
+    init += [f"(action_feasible {action})" for action in (SWITCH, *pddl.actions.values())]
+    numbers = {name: value for name, value in facts.items() if not isinstance(value, bool)}
+    used_up = {f"({used(name)})" for name in task.limited}
+    init += [f"(= {name} {value})" for name, value in numbers.items() if name not in used_up]
+    problem = pddl.problem.replace("(:init ", f"(:init {' '.join(init)} ", 1)
+    goal = f"(at {pddl.places[task.building.goal]})"
+    problem = problem.replace(f"(and {goal}", f"(and (at {pddl.places[task.goal]})", 1)
+    return parse_domain(domain_text(task.limited), problem)
+
+
+def domain_text(limited: Iterable[str]) -> str:
+    """Return the domain of the mission with these resources in the place of energy."""
+    lines = list[str]()
+    for line in (Path(agv.__file__).with_name("domain.pddl")).read_text().splitlines():
+        if "energy" not in line:
+            lines.append(line)
+            continue
+        for name in limited:
+            changed = line.replace("energy_used_mj", used(name)).replace(
+                "energy_left_mj", left_of(name)
+            )
+            lines.append(changed.replace("_energy", f"_{name}"))
+    return "\n".join(lines)
 
 
 def asked_of(planner: Planner, task: Task) -> PlanningResult:
     """Have a planner answer a question; the cost is in whole thousandths."""
-    domain = declarations_of_task(task).load()
+    domain = domain_of_task(task)
     return planner.plan(Problem(domain, initial_state(domain)))

@@ -9,9 +9,9 @@ from html import escape
 from itertools import chain
 from typing import Final, NamedTuple
 
+from kb.debounce import turning_point
 from kb.elements import Action, Attribute, exact, table
 from kb.explanation.requirements import Remedy, remedies
-from kb.measurements import turning_point
 from kb.network import Node
 from kb.planning import choice_by_priority, ranked
 from kb.state import Reason, State
@@ -201,11 +201,11 @@ class _Explainer:
     def _explain(self, node: Node, possible_only: bool) -> Explanation:
         if node.kind == "attribute":
             return self._attribute(node)
-        state, status = self._state, self._state.status[node.index]
+        state, status = self._state, self._state.status[node]
         reason, measurement, reasons = "", None, Reasons()
         if node.kind == "constraint":
             measurement = _comparison(state, node)
-        if state.asserted[node.index] is not None:
+        if state.asserted.get(node) is not None:
             said = state.reason("asserted", node)
             reason = said.text
             fact = (
@@ -214,9 +214,9 @@ class _Explainer:
                 else f"it is asserted so{said}"
             )
         elif measurement:
-            fact = _compared(measurement, node, self._now, state.verdict[node.index])
+            fact = _compared(measurement, node, self._now, state.verdict(node))
             if measurement.time is None and (
-                forecast := state.reason("forecast", node.parts[0]).text
+                forecast := state.reason("forecast", node.requires[0]).text
             ):
                 fact = (
                     f"{forecast}; that makes {node.name} {status}"
@@ -228,16 +228,16 @@ class _Explainer:
         else:
             fact, reasons = self._grounds(node, status)
             reason = state.reason("failed", node).text if status is Status.FAILURE else ""
-        choice = state.reason("selected", node).text if state.selected[node.index] else ""
-        possible_only = possible_only and state.asserted[node.index] is None
+        choice = state.reason("selected", node).text if node in state.selected else ""
+        possible_only = possible_only and state.asserted.get(node) is None
         what = node.kind, node.name, status, fact, reasons, measurement, possible_only
         return Explanation(*what, (), True, reason, choice)
 
     def _attribute(self, node: Node) -> Explanation:
         users = [
-            f"{whole} needs {one.name}: {self._state.status[one.index]}"
+            f"{whole} needs {one.name}: {self._state.status[one]}"
             for one in node.constraints
-            for whole in one.wholes
+            for whole in one.used_by
         ]
         if len(users) > _MOST:
             users = [*users[: _MOST - 1], f"{len(users) - _MOST + 1} more constraints"]
@@ -248,31 +248,33 @@ class _Explainer:
 
     def _grounds(self, node: Node, status: Status) -> tuple[str, Reasons]:
         """Return the fact and the reasons of a status that is inferred and not "feasible"."""
-        selected = [part for part in node.parts if self._state.selected[part.index]]
+        selected = [part for part in node.requires if part in self._state.selected]
         if status is Status.UNFEASIBLE:
             return (
-                "" if node.parts or node.kind != "function" else "it has no design",
+                "" if node.requires or node.kind != "function" else "it has no design",
                 self._faults(node),
             )
         if status is Status.CONFIGURATION_ERROR:
             return "", self._each(part for part in selected if self._is(part, Status.UNFEASIBLE))
         if status is Status.IMPLICIT_CONFIGURATION_ERROR:
-            choices = selected if node.kind == "function" else node.parts
+            choices = selected if node.kind == "function" else node.requires
             return "", self._each(part for part in choices if self._is(part, *_ERRORS))
         if status is Status.SOLVED:
-            parts = selected if node.kind in ("function", "component") else node.parts
+            parts = selected if node.kind in ("function", "component") else node.requires
             return "it is required, and all that it needs is in place", self._all(
                 (*node.constraints, *parts)
             )
         if status is Status.UNSOLVED and node.kind == "component":
-            if self._state.active[node.index]:
+            if node in self._state.active:
                 return f"none of its configurations is selected{self._why_none(node)}", ()
             return f"it is required and not active{self._state.reason('active', node)}", ()
         if status is Status.UNSOLVED and node.kind == "function":
             without = f"none of its designs is selected{self._why_none(node)}"
             return "" if selected else without, self._all(selected)
         if status is Status.UNSOLVED:
-            return "", self._each(part for part in node.parts if not self._is(part, Status.SOLVED))
+            return "", self._each(
+                part for part in node.requires if not self._is(part, Status.SOLVED)
+            )
         return "", ()  # a failure needs no further reason
 
     def _why_none(self, node: Node) -> Reason:
@@ -282,16 +284,16 @@ class _Explainer:
 
     def _faults(self, node: Node) -> Reasons:
         violated = self._each(one for one in node.constraints if self._is(one, Status.VIOLATED))
-        impossible = [part for part in node.parts if self._is(part, *IMPOSSIBLE)]
+        impossible = [part for part in node.requires if self._is(part, *IMPOSSIBLE)]
         if node.kind in ("action", "function design"):
             return *violated, *self._each(impossible)
-        return *violated, *(self._all(impossible) if len(impossible) == len(node.parts) else ())
+        return *violated, *(self._all(impossible) if len(impossible) == len(node.requires) else ())
 
     def _witnesses(self, node: Node) -> list[Explanation]:
-        parts = node.parts
+        parts = node.requires
         if node.kind in ("function", "component"):
             possible = [part for part in parts if not self._is(part, *IMPOSSIBLE)]
-            selected = [part for part in possible if self._state.selected[part.index]]
+            selected = [part for part in possible if part in self._state.selected]
             parts = (selected or possible)[:1]
         feasible = [
             self.status(part, possible_only=not self._is(part, Status.FEASIBLE)) for part in parts
@@ -305,7 +307,7 @@ class _Explainer:
         return _together(map(self.status, nodes))
 
     def _is(self, node: Node, *statuses: Status) -> bool:
-        return self._state.status[node.index] in statuses
+        return self._state.status[node] in statuses
 
 
 def _together(causes: Iterable[Explanation]) -> Reasons:
@@ -314,11 +316,11 @@ def _together(causes: Iterable[Explanation]) -> Reasons:
 
 
 def _comparison(state: State, node: Node) -> Comparison:
-    constraint, attribute = node.element, node.parts[0]
+    constraint, attribute = node.element, node.requires[0]
     value, time, is_stale = (
-        state.value[attribute.index],
-        state.time[attribute.index],
-        state.stale[attribute.index],
+        state.value.get(attribute),
+        state.time.get(attribute),
+        attribute in state.stale,
     )
     bound = constraint.attribute, constraint.operator, constraint.value
     return Comparison(*bound, value, time, is_stale, attribute.element.unit)
@@ -326,14 +328,14 @@ def _comparison(state: State, node: Node) -> Comparison:
 
 def _compared(one: Comparison, node: Node, now: float, verdict: Status | None) -> str:
     name, operator, threshold, value, time, is_stale, _ = one
-    attribute: Attribute = node.parts[0].element
+    attribute: Attribute = node.requires[0].element
     near = "" if value is None else shortest(value, (threshold,))
     bound = f"{operator} {attribute.amount(exact(threshold))}"
     if value is None:
         return f"{name} is not measured (wanted {bound})"
     shown = f"{name} {attribute.amount(near)}"
     if is_stale:
-        return f"{shown} {staleness(time, node.parts[0], now)}"
+        return f"{shown} {staleness(time, node.requires[0], now)}"
     if verdict is Status.NOT_EVALUATED:
         return f"{shown} is not confirmed: {_votes(attribute)} have to agree"
     holds = OPERATORS[operator](value, threshold)
@@ -360,11 +362,11 @@ def _hold(value: float, node: Node, verdict: Status) -> str:
 
 
 def _reading(state: State, attribute: Node, now: float) -> str:
-    value, time = state.value[attribute.index], state.time[attribute.index]
+    value, time = state.value.get(attribute), state.time.get(attribute)
     if value is None:
         return f"{attribute.name} is not measured"
     shown = reading(value, state.network.thresholds(attribute).around(value), attribute)
-    if state.stale[attribute.index]:
+    if attribute in state.stale:
         return f"{attribute.name} {shown} {staleness(time, attribute, now)}"
     return f"{attribute.name} is {shown} ({_age(time, now)})"
 
@@ -418,17 +420,17 @@ def why_selected(
     users: dict[Node, list[Node]] = {}
     for design in chosen:
         if design.kind == "function design":
-            for part in design.parts:
+            for part in design.requires:
                 users.setdefault(part, []).append(design)
     reasons = []
     for node in chosen:
-        whole = node.wholes[0]
-        before = next((part for part in whole.parts if state.selected[part.index]), None)
+        whole = node.used_by[0]
+        before = next((part for part in whole.requires if part in state.selected), None)
         if before is node:
             continue
         if before is None:
             reasons.append(f"{whole} is needed by {_needed_by(state, whole, users.get(whole, ()))}")
-        elif state.status[before.index] is Status.UNFEASIBLE:
+        elif state.status[before] is Status.UNFEASIBLE:
             reasons.append(why(state, before, now))
         elif not said:
             reasons.append(f"{node.name} is feasible and preferred to {before.name}")
@@ -441,15 +443,13 @@ def why_selected(
 
 def _why_lacking(state: State, chosen: Sequence[Node], *, only_explained: bool) -> list[str]:
     """Return why components of designs that stay selected must be activated; all, or only those with a known reason."""
-    anew = {node.wholes[0] for node in chosen} if state.lacking else set()
+    anew = {node.used_by[0] for node in chosen} if state.inactive_required() else set()
     sentences, others = [], []
-    for component in state.lacking.nodes():
+    for component in state.inactive_required():
         stay = (
-            one
-            for one in state.users[component.index]
-            if one in chosen or one.wholes[0] not in anew
+            one for one in state.users(component) if one in chosen or one.used_by[0] not in anew
         )
-        if any(state.required[one.wholes[0].index] for one in stay):
+        if any(state.is_required(one.used_by[0]) for one in stay):
             needed = f"needed by {_needed_by(state, component, ())}"
             text = state.reason("active", component).text
             if text:
@@ -469,9 +469,9 @@ def _needed_by(state: State, node: Node, about: Iterable[Node]) -> str:
     """Name the required actions that need a function or component, now or through designs about to be selected."""
     functions: Iterable[Node] = (node,)
     if node.kind == "component":
-        functions = (design.wholes[0] for design in chain(state.users[node.index], about))
+        functions = (design.used_by[0] for design in chain(state.users(node), about))
     named: dict[str, None] = {}
-    for action in chain.from_iterable(state.users[function.index] for function in functions):
+    for action in chain.from_iterable(state.users(function) for function in functions):
         named["others" if len(named) == _MOST and action.name not in named else action.name] = None
         if len(named) > _MOST:
             break
@@ -546,10 +546,10 @@ def explain_choice(state: State, node: Node, now: float) -> ChoiceExplanation:
 
 def note_nothing(state: State, reason: str) -> None:
     """Keep the reason why nothing can be selected for what is required, in words; empty if something can."""
-    required = [node for node in state.network.functions.values() if state.required[node.index]]
+    required = [node for node in state.network.functions.values() if state.is_required(node)]
     concerned = {
         *required,
-        *(part for node in required for design in node.parts for part in design.parts),
+        *(part for node in required for design in node.requires for part in design.requires),
     }
     for node in (*state.network.functions.values(), *state.network.components.values()):
         state.give_reason("selected", node, reason if node in concerned else "")
@@ -562,7 +562,7 @@ class _Choosing:
         self.state, self.node, self.now = state, node, now
         self.nothing = state.reason("selected", node).text
         self.possible = ranked(state, node)
-        self.selected = next((part for part in node.parts if state.selected[part.index]), None)
+        self.selected = next((part for part in node.requires if part in state.selected), None)
         self.said = state.reason("selected", self.selected).text if self.selected else ""
         preferred = (
             self.possible[:1]
@@ -577,9 +577,9 @@ class _Choosing:
     def explanation(self) -> ChoiceExplanation:
         others = tuple(
             Alternative(
-                part.name, self.state.status[part.index], part.element.priority, self._why_not(part)
+                part.name, self.state.status[part], part.element.priority, self._why_not(part)
             )
-            for part in self.node.parts
+            for part in self.node.requires
             if part is not self.chosen
         )
         name, is_selected = self.chosen.name if self.chosen else None, self.selected is not None
@@ -591,14 +591,14 @@ class _Choosing:
         chosen, what, node = self.chosen, _PARTS[self.node.kind], self.node
         if chosen is None:
             return self.nothing or (
-                f"each {what} of it is unfeasible" if node.parts else f"it has no {what}"
+                f"each {what} of it is unfeasible" if node.requires else f"it has no {what}"
             )
         if chosen not in self.possible:
             return f"it was possible before; now {why(self.state, chosen, self.now)}"
         advantage = self._advantage(chosen)
         return (
             advantage
-            if self.state.required[node.index]
+            if self.state.is_required(node)
             else f"{advantage}; nothing requires the {node.kind} now"
         )
 
@@ -644,7 +644,7 @@ class _Choosing:
             due.configurations.get(node.name),
         ):
             return "it is to be selected next"
-        return f"nothing new is selected for the {node.kind}, whose status is {self.state.status[node.index]}"
+        return f"nothing new is selected for the {node.kind}, whose status is {self.state.status[node]}"
 
 
 def _in_words(priority: float | None) -> str:

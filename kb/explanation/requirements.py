@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
+from kb.debounce import turning_point
 from kb.elements import (
     Action,
     Attribute,
@@ -21,7 +22,6 @@ from kb.elements import (
     StalePolicy,
     exact,
 )
-from kb.measurements import turning_point
 from kb.network import Node
 from kb.state import State
 from kb.status import IMPOSSIBLE, OPERATORS, Status
@@ -172,7 +172,7 @@ class Requirements:
         return self._known[node.index]
 
     def _with_assertion(self, node: Node) -> Alternatives:
-        asserted = None if self._state is None else self._state.asserted[node.index]
+        asserted = None if self._state is None else self._state.asserted.get(node)
         if asserted is None:
             return self._needs(node)
         if asserted not in IMPOSSIBLE:
@@ -183,24 +183,24 @@ class Requirements:
     def _needs(self, node: Node) -> Alternatives:
         element = node.element
         if isinstance(element, Constraint):
-            return self._bound(node, node.parts[0])
+            return self._bound(node, node.requires[0])
         if isinstance(element, Function):
-            if node.parts:
-                return self._any_of(self.of(part) for part in node.parts)
+            if node.requires:
+                return self._any_of(self.of(part) for part in node.requires)
             return NOTHING if self._state is None else _repaired(Repair("designed", element))
         needed = [self.of(constraint) for constraint in node.constraints]
         if not isinstance(element, Component):
-            return self._all_of([*needed, *(self.of(part) for part in node.parts)])
-        if self._state is not None and self._state.failed[node.index]:
+            return self._all_of([*needed, *(self.of(part) for part in node.requires)])
+        if self._state is not None and node in self._state.failed:
             needed.append(_repaired(Repair("recovered", element)))
-        if node.parts:
-            needed.append(self._any_of(self.of(part) for part in node.parts))
+        if node.requires:
+            needed.append(self._any_of(self.of(part) for part in node.requires))
         return self._all_of(needed)
 
     def _bound(self, node: Node, attribute: Node) -> Alternatives:
         state = self._state
         if state is not None:
-            is_known = state.value[attribute.index] is not None and not state.stale[attribute.index]
+            is_known = state.value.get(attribute) is not None and attribute not in state.stale
             if not is_known and not _is_counted_violated(state, attribute):
                 return FREE
             if attribute.index not in self._holding:
@@ -209,7 +209,7 @@ class Requirements:
                 )
             if self._holding[attribute.index]:
                 return FREE
-        interval = _wanted(node, None if state is None else state.verdict[node.index])
+        interval = _wanted(node, None if state is None else state.verdict(node))
         possible = interval
         if state is not None:  # no measurement will ever be outside the range
             of = attribute.attribute
@@ -270,18 +270,17 @@ def _repaired(repair: Repair) -> Alternatives:
 
 
 def _is_counted_violated(state: State, attribute: Node) -> bool:
-    return state.stale[attribute.index] and attribute.attribute.when_stale is StalePolicy.VIOLATED
+    return attribute in state.stale and attribute.attribute.when_stale is StalePolicy.VIOLATED
 
 
 def _is_outside(state: State, attribute: Node, interval: Interval) -> bool:
     """Return whether an attribute needs a new measurement to be within an interval."""
-    value = state.value[attribute.index]
+    value = state.value.get(attribute)
     if _is_counted_violated(state, attribute) or (value is not None and value not in interval):
         return True
     return any(
-        state.verdict[one.index] is Status.VIOLATED
-        and _wanted(one, Status.VIOLATED).covers(interval)
-        for one in state.network.thresholds(attribute).steady
+        state.verdict(one) is Status.VIOLATED and _wanted(one, Status.VIOLATED).covers(interval)
+        for one in state.network.thresholds(attribute).debounced
     )
 
 
@@ -290,11 +289,11 @@ def _wanted(node: Node, verdict: Status | None) -> Interval:
 
 
 def _holds(state: State, attribute: Node, node: Node) -> bool:
-    value, constraint = state.value[attribute.index], node.constraint
+    value, constraint = state.value.get(attribute), node.constraint
     if value is None or _is_counted_violated(state, attribute):
         return False
-    if state.verdict[node.index] is not None:
-        return state.verdict[node.index] is not Status.VIOLATED
+    if state.verdict(node) is not None:
+        return state.verdict(node) is not Status.VIOLATED
     return OPERATORS[constraint.operator](value, constraint.value)
 
 
@@ -378,7 +377,7 @@ def remedies(state: State, node: Node) -> tuple[tuple[Remedy, ...], bool]:
 
     If these are all, no subset of the facts of one of them is enough, whatever their values.
     """
-    if node.kind == "constraint" or state.status[node.index] not in IMPOSSIBLE:
+    if node.kind == "constraint" or state.status[node] not in IMPOSSIBLE:
         return (), True
     ways = Requirements(state).of(node)
     found = _smallest(_remedy(state, box) for box in ways.boxes)
@@ -391,7 +390,7 @@ def _remedy(state: State, box: Box) -> Remedy:
     for name, interval in sorted(box.intervals.items(), key=lambda one: one[0]):
         attribute = state.network.attributes[name]
         if _is_outside(state, attribute, interval):
-            value, again = state.value[attribute.index], _is_counted_violated(state, attribute)
+            value, again = state.value.get(attribute), _is_counted_violated(state, attribute)
             longer = not again and value is not None and value in interval
             measured.append(Measured(name, interval, again, longer, attribute.attribute.unit))
     return Remedy((*measured, *sorted(box.repairs, key=str)))

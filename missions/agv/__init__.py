@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from functools import cache, lru_cache, partial
+from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
@@ -9,18 +10,9 @@ from kb import KnowledgeBase
 from missions import SUMMARIES
 from missions.agv.joint import Modes
 from missions.agv.model import NAVIGATE, PAPER, Building, building_model
-from missions.agv.tree import (
-    PddlNames,
-    Planned,
-    PlanningState,
-    Route,
-    agv_tree,
-    cross_schema,
-    switch_schema,
-)
+from missions.agv.tree import PddlNames, PlanningState, Route, agv_tree
 from missions.agv.world import AgvKind
 from missions.engine.mission import Mission, Percepts
-from missions.engine.task_layer import by_schema
 
 __all__ = ["MISSION", "PAPER", "WEIGHTS", "agv_mission"]
 
@@ -56,19 +48,13 @@ def agv_mission(
         summary=summary,
         model=partial(building_model, building),
         tree=partial(agv_tree, building, weights),
+        domain=Path(__file__).with_name("domain.pddl"),
         problem=lambda: pddl().problem,
-        actions=by_schema(
-            Planned(
-                switch_schema(LIMITED),
-                lambda kb, percepts, step: planning_state(kb, percepts).switch(step),
-            ),
-            Planned(
-                cross_schema(LIMITED),
-                lambda kb, percepts, step: planning_state(kb, percepts).cross(step),
-            ),
-        ),
+        actions={
+            "switch": lambda kb, percepts, step: planning_state(kb, percepts).switch(step),
+            "cross": lambda kb, percepts, step: planning_state(kb, percepts).cross(step),
+        },
         facts=lambda kb, percepts: planning_state(kb, percepts).facts,
-        engines=("label-setting",),
         world=AgvKind(building, weights),
         why_not=why_not,
         selects=True,

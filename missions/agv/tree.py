@@ -11,7 +11,7 @@ the mode and crossing are steps of their own; both cost the same as in the joint
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 from py_trees.behaviour import Behaviour
@@ -36,8 +36,6 @@ from missions.engine.mission import Percepts
 from rosa_bt import RosaAction, feasible_then_act
 from rosa_bt.decorators import UntilSuccess
 from rosa_pddl import Outcome, PlanRecord, Step
-from rosa_pddl.domain import FEASIBLE
-from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
 RESERVE: Final = 0.1
 """Share of the energy that plans do not use, because driving round obstacles takes more; own choice."""
@@ -304,34 +302,6 @@ def left_of(name: str) -> str:
     return f"{name}_left_{_UNITS[name]}"
 
 
-def switch_schema(limited: Iterable[str]) -> ActionSchema:
-    """Declare how modes are switched, and how much of the limited resources (see `Question`) that uses up."""
-    return ActionSchema(
-        SWITCH,
-        parameters=("?now - setup", "?next - mode"),
-        start=("(configured ?now)",),
-        end_effects=("(not (configured ?now))", "(configured ?next)"),
-        duration_s=1,
-        cost="(switching ?now ?next)",
-        uses={used(name): f"(switching_{name} ?now ?next)" for name in limited},
-    )
-
-
-def cross_schema(limited: Iterable[str]) -> ActionSchema:
-    """Declare how ways are driven; each is the ROSA action of its corridor."""
-    return ActionSchema(
-        "cross",
-        parameters=("?a - action", "?w - way", "?from ?to - place", "?m - mode"),
-        start=("(at ?from)", "(leads ?w ?from ?to)", "(configured ?m)"),
-        over_all=("(crosses ?a ?w)", f"({FEASIBLE} ?a)", "(possible ?w ?m)"),
-        end_effects=("(not (at ?from))", "(at ?to)"),
-        duration_s=60,
-        cost="(crossing ?w ?m)",
-        uses={used(name): f"(crossing_{name} ?w ?m)" for name in limited},
-        action=None,
-    )
-
-
 class Via(NamedTuple):
     """A corridor in one direction; the origin is empty if the robot starts within a corridor."""
 
@@ -375,25 +345,24 @@ class PddlNames:
         self.by_way = {word: via for via, word in self.vias.items()}
 
     @property
-    def problem(self) -> DeclaredProblem:
-        objects = {
-            **dict.fromkeys(self.actions.values(), "action"),
-            **dict.fromkeys(self.places.values(), "place"),
-            **dict.fromkeys(self.by_mode, "mode"),
-            self.now: "setup",
-            **dict.fromkeys(self.by_way, "way"),
-        }
-        fixed = [
-            fact
-            for via, way in self.vias.items()
-            for fact in (
-                f"(leads {way} {self.places[via.origin]} {self.places[via.to]})",
-                f"(crosses {self.actions[via.corridor]} {way})",
-            )
-        ]
-        goal = (f"(at {self.places[self.building.goal]})",)
-        limits = {used(name): f"({left_of(name)})" for name in self.limited}
-        return DeclaredProblem(goal, objects, tuple(fixed), types={"mode": "setup"}, limits=limits)
+    def problem(self) -> str:
+        """The problem file: the objects, the facts that never change, and the goal."""
+        things = {"action": [SWITCH, *self.actions.values()], "place": self.places.values()}
+        things |= {"mode": self.by_mode, "setup": [self.now], "way": self.by_way}
+        objects = [f"{' '.join(names)} - {kind}" for kind, names in things.items()]
+        facts = [f"(switch_action {SWITCH})"]
+        for via, way in self.vias.items():
+            facts.append(f"(leads {way} {self.places[via.origin]} {self.places[via.to]})")
+            facts.append(f"(crosses {self.actions[via.corridor]} {way})")
+        goals = [f"(at {self.places[self.building.goal]})"]
+        for name in self.limited:
+            facts.append(f"(= ({used(name)}) 0)")
+            goals.append(f"(<= ({used(name)}) ({left_of(name)}))")
+        return f"""(define (problem drive) (:domain agv)
+            (:objects {" ".join(objects)})
+            (:init {" ".join(facts)})
+            (:goal (and {" ".join(goals)}))
+            (:metric minimize (total-cost)))"""
 
     def facts(self, task: Task) -> dict[str, bool | float]:
         """Return the facts that may change: where the robot is, its configuration, what is possible, and the costs.
@@ -502,14 +471,3 @@ class PlanningState:
     def switch(self, step: Step) -> Switch:
         """Return the behaviour of a step that changes to a mode."""
         return Switch(self.route, self.pddl.by_mode[step.arguments[-1]])
-
-
-@dataclass(frozen=True)
-class Planned:
-    """Makes the behaviour of a step of a plan, and has its schema."""
-
-    schema: ActionSchema
-    make: Callable[[KnowledgeBase, Percepts, Step], Behaviour]
-
-    def __call__(self, kb: KnowledgeBase, percepts: Percepts, step: Step) -> Behaviour:
-        return self.make(kb, percepts, step)

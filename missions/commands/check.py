@@ -18,7 +18,7 @@ from kb.files import read_text
 from missions.commands import FAILED, UNFINISHED, complain, open_console, tree_builder
 from missions.engine.mission import Mission, MissionError, Percepts, built, find_mission
 from missions.engine.question import Answer, answer, ask, certified
-from missions.engine.task_layer import declarations_of, mission_domain
+from missions.engine.task_layer import mission_domain
 from missions.proof.exploration import Exploration
 from missions.proof.verification import as_test, prove, setup_of
 from missions.views.output import as_json, open_files
@@ -32,8 +32,8 @@ from missions.views.plan import (
 )
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_bt.composites import unguarded
-from rosa_pddl.domain import ACTION_TYPE
-from rosa_pddl.syntax import Node, Source, read_source, section, typed
+from rosa_pddl.domain import ACTION_TYPE, Domain
+from rosa_pddl.reader import Node, Source, read_source, section, typed
 
 ACTION_SUFFIX: Final = "_action"
 COLOURS = {"error": "red", "warning": "yellow"}
@@ -245,16 +245,15 @@ def names_in_pddl(paths: Iterable[Path]) -> Uses:
 
 def planned_names(mission: Mission) -> Uses:
     """Return the ROSA actions that the planned task layer of a mission uses."""
-    declared = declarations_of(mission)
-    if declared is not None:
-        objects = [name for name, kind in declared.problem.objects.items() if kind == ACTION_TYPE]
-        return [
-            (name, f"the schemas of {mission.name}")
-            for name in dict.fromkeys([*declared.rosa_actions, *objects])
-        ]
-    return names_in_pddl(
-        path for path in (mission.domain, mission.problem) if isinstance(path, Path)
-    )
+    if mission.domain is None or mission.problem is None:
+        return []
+    domain = mission_domain(mission)
+    return [(name, _declared_at(domain, name)) for name in domain.rosa_actions]
+
+
+def _declared_at(domain: Domain, name: str) -> str:
+    file, line = domain.places.get(("object", name), (domain.file, 0))
+    return f"{file}:{line}" if line else file
 
 
 def _by_predicate(source: Source, parents: Mapping[str, str]) -> Iterator[tuple[str, str]]:

@@ -144,6 +144,8 @@ class FaultInjector:
 
 def inject(run: MissionRun, *faults: Fault) -> None:
     """Have faults happen in a run, at their times or at once. See `check_faults` for what is raised."""
+    if not faults:
+        return
     checked = check_faults(faults, run.model, run.settings.duration_s)
     if run.faults is None:
         run.faults = FaultInjector()

@@ -29,7 +29,6 @@ from rosa_pddl.exceptions import RosaPddlError
 if TYPE_CHECKING:
     from numpy.random import Generator
 
-    from rosa_pddl.generation import DeclaredProblem
 
 T = TypeVar("T")
 
@@ -268,11 +267,9 @@ class Mission:
         model: builds the model of the robot.
         tree: builds the task logic as a behaviour tree; None if the mission is planned only.
         world: where it happens.
-        domain: PDDL file with the same task logic as actions; None if it is generated from the schemas of the
-            actions, or the mission has a tree only.
-        problem: PDDL file with the goal, the goal as declared, or a function that declares it; None for a tree only.
-        actions: by PDDL action, the behaviour that does it; the same as in the tree. Each has a `schema` if there is
-            no domain file. One with a parameter `step` is also given the `rosa_pddl.Step` that it does.
+        domain: PDDL file with the same task logic as actions; None for a mission with a tree only.
+        problem: PDDL file with objects, facts and goal, or a function that returns its text.
+        actions: by PDDL action, the behaviour that does it; the same as in the tree. One with a parameter `step` is also given the `rosa_pddl.Step` that it does.
         facts: returns what holds now, by what is known and was sensed, as in the PDDL problem: facts such as
             {"(lit room)": True}, and numbers for costs such as {"(length a b)": 3.5}.
         engines: names of planning engines, see `rosa_pddl.Planner`: the first one plans, the others if it fails;
@@ -293,7 +290,7 @@ class Mission:
     tree: Callable[[KnowledgeBase, Percepts], Behaviour] | None = None
     world: WorldKind = None  # type: ignore[assignment]  # refused below, with what to write instead
     domain: Path | None = None
-    problem: "Path | DeclaredProblem | Callable[[], DeclaredProblem] | None" = None
+    problem: Path | Callable[[], str] | None = None
     actions: Mapping[str, Callable[..., Behaviour]] = field(default_factory=dict)
     facts: Callable[[KnowledgeBase, Percepts], Mapping[str, bool | float]] = lambda kb, percepts: {}
     engines: tuple[str, ...] = ()

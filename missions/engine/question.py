@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -22,10 +22,11 @@ from rosa_pddl import (
     initial_state,
     load_domain,
 )
+from rosa_pddl.belief import assumptions, without_hopeless
+from rosa_pddl.domain import without_feasibility
 from rosa_pddl.exceptions import nearest
-from rosa_pddl.problem import without_feasibility
+from rosa_pddl.reader import conditions
 from rosa_pddl.replanning import diagnosis
-from rosa_pddl.syntax import conditions
 
 FAILED: Final = "failed"
 
@@ -40,6 +41,7 @@ class Question:
         numbers: numeric facts for costs and limits, as far as the mission knows them.
         engines: names of planning engines; empty: those that the domain needs.
         why_not: returns why there is no plan, as far as the mission can tell; empty if it cannot.
+        is_supposed: whether it is supposed which actions are feasible.
     """
 
     domain: Domain
@@ -50,6 +52,7 @@ class Question:
     numbers: Mapping[str, float] = field(default_factory=dict)
     engines: tuple[str, ...] = ()
     why_not: Callable[[], str] = str
+    is_supposed: bool = False
 
     @property
     def problem(self) -> Problem:
@@ -63,7 +66,9 @@ class Question:
 
     def supposing(self, unfeasible: Iterable[str]) -> Problem:
         """Return the problem in which exactly these ROSA actions are unfeasible."""
-        domain, left_out = self.domain, set(unfeasible)
+        left_out = set(unfeasible)
+        # where it is supposed what is feasible, nobody knows why the rest is not
+        domain = self.domain if self.is_supposed else without_hopeless(self.domain, self.kb)
         state = self.state | {
             atom for atom, action in domain.feasibility.items() if action not in left_out
         }
@@ -136,7 +141,8 @@ def ask(
     wanted = tuple(condition for text in texts for condition in conditions(domain, text))
     engines = () if mission is None else mission.engines
     why_not = str if mission is None or goals else partial(mission.why_not, kb, percepts)
-    return Question(domain, kb, state, wanted, oversights, numbers, engines, why_not)
+    is_supposed = feasible is not None
+    return Question(domain, kb, state, wanted, oversights, numbers, engines, why_not, is_supposed)
 
 
 def _read(situation: Iterable[str]) -> Iterator[tuple[str, float | None]]:
@@ -205,27 +211,45 @@ def _known(domain: Domain, texts: Iterable[str]) -> set[str]:
 
 
 def answer(question: Question, timeout_s: float) -> Answer:
-    """Plan with the engines of the mission, or else those that the domain needs; if there is no plan, find out why.
+    """Plan with the engines of the mission, or else as `Planner()`; find out why there is no plan.
 
-    Those are label setting if the goal has limits, and otherwise Fast Downward and then Aries. Each planning may take
-    `timeout_s` of wall clock time [s].
+    Each planning may take `timeout_s` of wall clock time [s].
     """
-    with closing(_planner(question, timeout_s, warm=False)) as planner:
-        result = planner.plan(question.problem)
+    with closing(_planner(question, timeout_s)) as planner:
+        result = planned(question, planner)
         has_proof = not result.outcome.is_solved and not result.outcome.is_trouble
         return Answer(question, result, _obstacles(question, planner) if has_proof else ())
 
 
+def planned(question: Question, planner: Planner) -> PlanningResult:
+    """Plan without promises that cannot be kept, and say what the plan assumes."""
+    result = planner.plan(question.problem)
+    if question.is_supposed:
+        return result
+    state = question.problem.state
+    sentences = assumptions(question.domain, question.kb, result.steps, state)
+    return replace(result, assumptions=sentences)
+
+
 def certified(question: Question, timeout_s: float, failures: int | None) -> Certificate:
-    """Plan for each set of at most `failures` unfeasible actions (None: any number), with the engines of `answer`."""
-    with closing(_planner(question, timeout_s, warm=True)) as planner:
-        return certificate(question.domain, question.supposing, planner, failures)
+    """Plan for each set of at most `failures` unfeasible actions (None: any number).
+
+    It also plans for each component that may fail: what cures one cause need not cure another.
+    """
+    with closing(_planner(question, timeout_s)) as planner:
+        table = certificate(question.domain, question.supposing, planner, failures)
+        causes = dict[str, PlanningResult]()
+        for component in question.kb.model.components:
+            kb = KnowledgeBase(question.kb.model, clock=lambda: 0.0)
+            kb.component_failed(component)
+            if any(not kb.is_feasible(action) for action in question.domain.rosa_actions):
+                causes[f"{component} fails"] = planned(replace(question, kb=kb), planner)
+    return replace(table, causes=causes)
 
 
-def _planner(question: Question, timeout_s: float, *, warm: bool) -> Planner:
-    usual = ("label-setting",) if question.domain.limited else ("fast-downward-opt", "aries")
-    engine, *fallback = question.engines or usual
-    return Planner(engine, timeout_s, warm=warm, fallback=fallback)
+def _planner(question: Question, timeout_s: float) -> Planner:
+    engine, *fallback = question.engines or (None,)
+    return Planner(engine, timeout_s, fallback=[name for name in fallback if name])
 
 
 def _obstacles(question: Question, planner: Planner) -> tuple[str, ...]:
@@ -236,4 +260,4 @@ def _obstacles(question: Question, planner: Planner) -> tuple[str, ...]:
         while True:
             asked = asking.send(planner.plan(asked))
     except StopIteration as concluded:
-        return tuple(filter(None, (*concluded.value, question.why_not())))
+        return tuple(filter(None, (*concluded.value.sentences, question.why_not())))

@@ -1,6 +1,6 @@
-"""The task layer of a mission: its tree, or a plan executor for its PDDL, which is read from files or generated."""
+"""The task layer of a mission: its tree, or a plan executor for its PDDL, which is read from files."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from inspect import signature
 from typing import Any, Final
@@ -12,15 +12,13 @@ from kb import KnowledgeBase
 from missions.engine.adaptations import plans_after
 from missions.engine.mission import Mission, MissionError, Percepts, built
 from rosa_pddl import (
-    ActionSchema,
-    Declarations,
-    DeclaredProblem,
     Domain,
     PlanExecutor,
     Planner,
     PlanRecord,
     Step,
     load_domain,
+    parse_domain,
 )
 
 TASK_KINDS: Final = ("bt", "pddl")
@@ -161,55 +159,14 @@ class Made:
 # -------------------------------------------------------------------- the PDDL of a mission
 
 
-def by_schema(*actions: Action) -> Mapping[str, Action]:
-    """Return actions by the names in their schemas, for `Mission(actions=...)`.
-
-    Raises:
-        MissionError: one declares no schema, or two declare the same name.
-    """
-    named: dict[str, Action] = {}
-    for action in actions:
-        name = _schema_of(action).name
-        if named.setdefault(name, action) is not action:
-            raise MissionError(f"two actions declare the schema {name!r}; give each its own name")
-    return named
-
-
-def _schema_of(action: Action, name: str | None = None) -> ActionSchema:
-    """Return the schema of an action; MissionError if it has none, or one with another name than it is listed under."""
-    schema: Any = getattr(action, "schema", None)
-    title = getattr(action, "__name__", repr(action))
-    if not isinstance(schema, ActionSchema):
-        advice = f"write schema = ActionSchema({name or title!r}, ...) in it, or give the mission a domain file"
-        raise MissionError(f"the action {title} declares no schema; {advice}")
-    if name not in (None, schema.name):
-        raise MissionError(
-            f"the action {title} is listed as {name!r}, but declares {schema.name!r}"
-        )
-    return schema
-
-
-def declarations_of(mission: Mission) -> Declarations | None:
-    """Return the declarations from which a mission's PDDL is generated; None if it has files, or no PDDL at all."""
-    given, title = mission.problem, f"the problem of mission {mission.name}"
-    problem = built(title, DeclaredProblem, given) if callable(given) else given
-    if mission.domain is not None or not isinstance(problem, DeclaredProblem):
-        return None
-    schemas = [_schema_of(action, name) for name, action in mission.actions.items()]
-    return Declarations(mission.name, schemas, problem)
-
-
 def mission_domain(mission: Mission) -> Domain:
-    """Return the domain and problem of a mission; MissionError if it has none, or only one of two files."""
-    declared = declarations_of(mission)
-    if declared is not None:
-        return declared.load()
-    if mission.domain is None or mission.problem is None:
-        raise MissionError(
-            f"mission {mission.name} has no PDDL domain and problem; run it with --task bt"
-        )
-    if isinstance(mission.problem, DeclaredProblem) or callable(mission.problem):
-        raise MissionError(
-            f"mission {mission.name} has a domain file but a declared problem; give both as files"
-        )
-    return load_domain(mission.domain, mission.problem)
+    """Return the domain and problem of a mission; MissionError if it lacks one of the two."""
+    problem = mission.problem
+    if mission.domain is None or problem is None:
+        lacking = "domain" if mission.domain is None else "problem"
+        message = f"mission {mission.name} has no PDDL {lacking}"
+        raise MissionError(f"{message}; run it with --task bt, or give it {lacking}=...")
+    if not callable(problem):
+        return load_domain(mission.domain, problem)
+    text = built(f"the problem of mission {mission.name}", str, problem)
+    return parse_domain(mission.domain.read_text(), text)

@@ -16,13 +16,14 @@ from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from itertools import chain, count, product
+from itertools import count, product
 from pathlib import Path
 from time import monotonic
 from typing import Any, Final, NamedTuple, Self
 
 from kb.files import draft, put
 from missions.baselines import MANAGERS, OURS, open_run
+from missions.engine.faults import Fault, inject, read_fault
 from missions.engine.mission import MissionError, find_mission
 from missions.engine.runner import MissionRun
 from missions.engine.settings import near
@@ -30,6 +31,8 @@ from missions.engine.task_layer import check_task
 from missions.views.output import files_tried
 
 Settings = Mapping[str, str]
+FAULTS: Final = "faults"
+"""The setting of a campaign that has the faults to inject, separated by semicolons."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,15 +62,33 @@ class PlannedRun:
     def command(self) -> str:
         """The command line that repeats this run alone, with its full output."""
         task = f" --task {self.task}" if self.task else ""
-        changed = "".join(f" --set {name}={value}" for name, value in self.settings)
+        changed = "".join(
+            f" --set {name}={value}" for name, value in self.settings if name != FAULTS
+        )
+        for fault in self.faults:
+            verb, _, rest = str(fault).partition(" ")
+            changed += f" --{verb} {rest}"
         return f"rosa run {self.mission} --manager {self.manager}{task} --seed {self.seed}{changed}"
 
     def open(self) -> MissionRun:
         """Open the run; MissionError if that is not possible."""
-        mission, settings = find_mission(self.mission), dict(self.settings)
-        return open_run(
+        settings = {name: value for name, value in self.settings if name != FAULTS}
+        mission = find_mission(self.mission)
+        run = open_run(
             mission, manager=self.manager, task=self.task, seed=self.seed, settings=settings
         )
+        try:
+            inject(run, *self.faults)
+        except BaseException:
+            run.world.close()
+            raise
+        return run
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """The faults that are injected, see `missions.engine.faults`."""
+        texts = dict(self.settings).get(FAULTS, "").split(";")
+        return tuple(read_fault(text) for text in texts if text.strip())
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +102,8 @@ class Campaign:
         tasks: task layers for our manager, "bt" and "pddl"; the other managers bring their own.
         runs: how many of each combination.
         first_seed: the seed of the first run of each; the next ones follow.
-        settings: those that differ from the defaults in all runs.
+        settings: those that differ from the defaults in all runs; "faults" has the faults to inject, such as
+            "fail boom@60; recover boom@90".
         cases: sets of settings, each combined with everything else.
         sweep: values by name of a setting; all combinations are run.
     """
@@ -138,8 +160,10 @@ class Campaign:
 
 def paper_table(runs: int = 100) -> Campaign:
     """Return the campaign behind the table of the ROSA paper: both missions under every manager, rules of 2024."""
+    missions = ("suave", "suave_extended")
+    published = {"late_boot_share": "0.015"}  # fitted to the published deviations, see docs/sea.md
     return Campaign(
-        "paper_table", ("suave", "suave_extended"), (*MANAGERS, OURS), ("bt", "pddl"), runs
+        "paper_table", missions, (*MANAGERS, OURS), ("bt", "pddl"), runs, settings=published
     )
 
 
@@ -528,13 +552,22 @@ def reaction_rows(kept: Kept) -> Iterator[dict[str, Any]]:
 def write_tables(kept: Kept, folder: Path) -> list[Path]:
     """Write the runs and the reactions, and return the files; raises MissionError if one cannot be written."""
     written = []
-    for name, rows in (("runs", run_rows(kept)), ("reactions", reaction_rows(kept))):
-        written.append(folder / f"{name}.csv")
+    for name, rows in (("runs.csv", run_rows), ("reactions.csv", reaction_rows)):
+        written.append(folder / name)
         with files_tried(f"write {written[-1]}"), draft(written[-1].resolve()) as part:
-            first = next(rows, None)
+            first = next(rows(kept), None)
             with part.open("w", encoding="utf-8", newline="") as file:
                 writer = csv.DictWriter(file, list(first or ["run"]), lineterminator="\n")
                 writer.writeheader()
-                writer.writerows(chain([first] if first else [], rows))
+                writer.writerows(rows(kept))
             put(part, written[-1].resolve())
+    written.append(folder / "runs.json")
+    with files_tried(f"write {written[-1]}"), draft(written[-1].resolve()) as part:
+        with part.open("w", encoding="utf-8") as file:
+            lines = (json.dumps(row, ensure_ascii=False) for row in run_rows(kept))
+            file.write("[\n")
+            for number, line in enumerate(lines):
+                file.write(f"{',' if number else ' '}{line}\n")
+            file.write("]\n")
+        put(part, written[-1].resolve())
     return written

@@ -210,21 +210,17 @@ def interval_of_sd(values: Values, rng: Generator) -> Interval:
     return _interval(sample, sd, spread, lambda drawn: drawn.std(axis=1, ddof=1), rng)
 
 
-def contrast(first: Values, second: Values) -> tuple[float, float]:
-    """Compare two independent samples by their ranks.
+def paired(first: Values, second: Values) -> tuple[Interval, float]:
+    """Return the mean difference of pairs of values with its interval, and p of Student's paired test."""
+    from scipy.stats import ttest_rel
 
-    Returns:
-        p of the two-sided Mann-Whitney test, exact if one has 8 values at most and there are no ties: how likely ranks
-        as different as these are if both samples come from the same distribution; and how often a value of the first is
-        larger than one of the second, ties counted half: 0.5 for no difference (Vargha and Delaney's A).
-    """
-    from scipy.stats import mannwhitneyu
-
-    one, other = _sample(first), _sample(second)
-    if np.ptp(np.concatenate([one, other])) == 0:
-        return 1.0, 0.5
-    found = mannwhitneyu(one, other, alternative="two-sided", method="auto")
-    return float(found.pvalue), float(found.statistic) / (one.size * other.size)
+    differences = _sample(first) - _sample(second)
+    mean = float(differences.mean())
+    if np.ptp(differences) == 0:
+        return Interval(mean, mean, mean), float(mean == 0)
+    result = ttest_rel(first, second)
+    ends = result.confidence_interval(LEVEL)
+    return Interval(mean, float(ends.low), float(ends.high)), float(result.pvalue)
 
 
 def holm(ps: Sequence[float]) -> list[float]:

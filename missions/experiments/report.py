@@ -21,10 +21,10 @@ from missions.experiments.comparison import (
     Comparison,
     Group,
     comparisons,
-    contrast,
     holm,
     interval_of_mean,
     interval_of_sd,
+    paired,
     two_clusters,
 )
 from missions.views.output import OutputFile, files_tried
@@ -113,6 +113,8 @@ class Document:
 
 HEADLINES = {SEARCH: "search time [s]", "distance_inspected_m": "distance inspected [m]"}
 NONE = "-"
+LEAST_PAIRS = 5
+"""Fewer pairs of runs are not compared: their interval would say nothing."""
 CLEAR = 3.5
 """Two clusters are clear above this separation, which the halves of a uniform distribution have."""
 
@@ -276,39 +278,30 @@ def _add_reactions(document: Document, comparison: Comparison) -> None:
 def _add_contrasts(
     document: Document, comparison: Comparison, headlines: Mapping[str, str]
 ) -> None:
-    """Compare ours with each other manager, or, without ours, all pairs: by runs with the same seed, and by ranks."""
+    """Compare ours with each other manager, or, without ours, all pairs, by runs with the same seed."""
     pairs = [(later, earlier) for earlier, later in combinations(comparison.groups, 2)][::-1]
     pairs = [pair for pair in pairs if OURS in (pair[0].manager, pair[1].manager)] or pairs
-    rows, ps = [], []
+    rows = []
+    ps = []
     for name, label in headlines.items():
-        for one, other in pairs:
-            (seeds, first), (others, second) = one.values(name), other.values(name)
+        for group, other in pairs:
+            seeds, first = group.values(name)
+            others, second = other.values(name)
             both, ours, theirs = np.intersect1d(
                 seeds, others, assume_unique=True, return_indices=True
             )
-            if not both.size:
-                continue
-            p, superiority = contrast(first, second)
-            ps.append(p)
-            shown = _mean(first[ours] - second[theirs], "+.2f"), f"{superiority:.2f}"
-            rows.append([f"{label}: {one.label} - {other.label}", str(len(both)), *shown])
+            if both.size >= LEAST_PAIRS:
+                difference, p = paired(first[ours], second[theirs])
+                ps.append(p)
+                title = f"{label}: {group.label} - {other.label}"
+                rows.append([title, str(both.size), difference.shown("+.2f")])
     if not rows:
         return
     document.heading("Differences", 3)
-    head = [
-        "figure: one - other",
-        "pairs",
-        "mean difference [95 %]",
-        "P(one > other)",
-        "p, corrected",
-    ]
-    document.table(
-        head,
-        [
-            [*row, "< 0.001" if p < 0.001 else f"{p:.3f}"]
-            for row, p in zip(rows, holm(ps), strict=True)
-        ],
-    )
+    for row, p in zip(rows, holm(ps), strict=True):
+        row.append("< 0.001" if p < 0.001 else f"{p:.3f}")
+    head = ["figure: one - other", "pairs", "mean difference [95 %]", "p, corrected"]
+    document.table(head, rows)
 
 
 def _add_all(document: Document, comparison: Comparison) -> None:
@@ -364,9 +357,9 @@ def _add_method(document: Document, *, searches: bool) -> None:
     document.heading("How it was computed")
     said = [
         "Intervals: 95 %, percentiles of 10,000 bootstrap resamples, or of a normal distribution for more than 10,000 "
-        "values; differences are of runs with the same seed.",
-        "p: two-sided Mann-Whitney tests, corrected by Holm's method for all tests of one table; it says whether "
-        "two distributions differ, P(one > other) by how much (0.5: not at all).",
+        "values.",
+        "Differences: of runs with the same seed, with the interval and p of Student's paired test; p is corrected by "
+        f"Holm's method for all tests of one table. Fewer than {LEAST_PAIRS} pairs are not compared.",
     ]
     of_searches = [
         "A search that never succeeds counts as long as the mission, as in SUAVE; clusters are of those that did.",

@@ -11,7 +11,6 @@ from py_trees.common import Status
 
 from kb import KnowledgeBase
 from missions.engine.mission import Mission, Percepts
-from missions.engine.task_layer import declarations_of
 
 Predicates = frozenset[str]
 _FEASIBLE: Final = "action_feasible"
@@ -112,11 +111,11 @@ def causes_of(mission: Mission) -> Causes:
 
 def _texts(mission: Mission) -> tuple[str, ...]:
     """Return the texts of the domain and the problem of a mission, as far as it has them."""
-    declared = declarations_of(mission)
-    if declared is not None:
-        return declared.domain_pddl, declared.problem_pddl
-    files = (mission.domain, mission.problem)
-    return tuple(file.read_text() for file in files if isinstance(file, Path))
+    texts = list[str]()
+    for source in (mission.domain, mission.problem):
+        if source is not None:
+            texts.append(source.read_text() if isinstance(source, Path) else source())
+    return tuple(texts)
 
 
 def _read(text: str) -> list[Any]:

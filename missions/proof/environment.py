@@ -58,7 +58,7 @@ class Change(NamedTuple):
 
 
 def make_stale(kb: KnowledgeBase, attribute: str) -> None:
-    kb.tell(Event(kb.log.last + 1, kb.now, STALE, (attribute,)))
+    kb.replay(Event(kb.log.last + 1, kb.now, STALE, (attribute,)))
 
 
 def is_debounced(model: Model) -> bool:

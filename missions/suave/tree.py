@@ -5,11 +5,10 @@ until inspected
     ├── find: pipeline found?, or else search if feasible
     └── inspect if feasible
 
-Each action says when it is finished; the nodes that it needs move the vehicle. The PDDL is made from the schemas.
+Each action says when it is finished; the nodes that it needs move the vehicle.
 """
 
 from collections.abc import Mapping
-from typing import ClassVar, Final
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -19,10 +18,6 @@ from kb import KnowledgeBase
 from missions.engine.mission import Condition, Percepts
 from rosa_bt import RosaAction, feasible_then_act
 from rosa_bt.decorators import UntilSuccess
-from rosa_pddl.generation import ActionSchema, DeclaredProblem
-
-_OBJECTS: Final = {"pipeline": "pipeline", "bluerov": "robot"}
-PROBLEM: Final = DeclaredProblem(objects=_OBJECTS, goal=("(pipeline_inspected pipeline)",))
 
 
 class SearchPipeline(RosaAction):
@@ -32,15 +27,8 @@ class SearchPipeline(RosaAction):
     kept here.
     """
 
-    schema: ClassVar = ActionSchema(
-        "search_pipeline",
-        parameters=("?p - pipeline", "?r - robot"),
-        end_effects=("(pipeline_found ?p)",),
-        duration_s=60,
-    )
-
     def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
-        super().__init__("search", kb, self.schema.rosa_action)
+        super().__init__("search", kb, "search_pipeline")
         self._percepts = percepts
         self._since_s = 0.0
 
@@ -76,16 +64,8 @@ class InspectPipeline(RosaAction):
         inspected_m: inspected length of the pipeline [m].
     """
 
-    schema: ClassVar = ActionSchema(
-        "inspect_pipeline",
-        parameters=("?p - pipeline", "?r - robot"),
-        start=("(pipeline_found ?p)",),
-        end_effects=("(pipeline_inspected ?p)",),
-        duration_s=60,
-    )
-
     def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
-        super().__init__("inspect", kb, self.schema.rosa_action)
+        super().__init__("inspect", kb, "inspect_pipeline")
         self._percepts = percepts
         self.inspected_m, self._reported_m, self._heard = 0.0, 0.0, 0
 

@@ -14,7 +14,11 @@ def suave_extended_model() -> Model:
     recharge = model.component("recharge", kind="lifecycle")
     generate_recharge_path = model.function("generate_recharge_path")
     generate_recharge_path.design("to_station", [recharge], priority=1)
-    model.action("recharge", requires=[generate_recharge_path, "maintain_motion"])
+    model.action(
+        "recharge",
+        requires=[generate_recharge_path, "maintain_motion"],
+        restores=[battery],
+    )
     model.actions["search_pipeline"].constrain(battery >= 0.25)
     model.actions["inspect_pipeline"].constrain(battery >= 0.25)
     return model

@@ -6,7 +6,6 @@ until inspected
     └── meanwhile: recharge if feasible
 """
 
-from typing import ClassVar
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -16,22 +15,13 @@ from missions.engine.mission import Percepts
 from missions.suave.tree import search_and_inspect
 from rosa_bt import RosaAction, do_until_unfeasible
 from rosa_bt.decorators import UntilSuccess
-from rosa_pddl.generation import ActionSchema
 
 
 class Recharge(RosaAction):
     """Go to the station and recharge; finished at the first recharge after it was begun."""
 
-    schema: ClassVar = ActionSchema(
-        "recharge",
-        parameters=("?r - robot",),
-        end_effects=("(recharged ?r)",),
-        duration_s=30,
-        makes_feasible=("search_pipeline", "inspect_pipeline"),
-    )
-
     def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
-        super().__init__("recharge", kb, self.schema.rosa_action)
+        super().__init__("recharge", kb, "recharge")
         self._percepts = percepts
         self._before = 0
 

@@ -1,11 +1,11 @@
 """UAV: an aerial vehicle searches a field for samples and analyses them, as its battery and its gripper allow."""
 
+from pathlib import Path
+
 from missions import SUMMARIES
 from missions.engine.mission import Mission
-from missions.engine.task_layer import by_schema
 from missions.uav.model import uav_model
 from missions.uav.tree import (
-    PROBLEM,
     AnalyseOnSite,
     LandAndFoldGripper,
     PickUpAndAnalyse,
@@ -23,10 +23,15 @@ MISSION = Mission(
     summary=SUMMARIES["uav"],
     model=uav_model,
     tree=uav_tree,
-    problem=PROBLEM,
-    actions=by_schema(
-        SearchForSamples, PickUpAndAnalyse, AnalyseOnSite, ReturnAndRecharge, LandAndFoldGripper
-    ),
+    domain=Path(__file__).with_name("domain.pddl"),
+    problem=Path(__file__).with_name("problem.pddl"),
+    actions={
+        "search_for_samples": SearchForSamples,
+        "pick_up_and_analyse": PickUpAndAnalyse,
+        "analyse_on_site": AnalyseOnSite,
+        "return_and_recharge": ReturnAndRecharge,
+        "land_and_fold_gripper": LandAndFoldGripper,
+    },
     facts=facts,
     world=SKY,
     why_not=lambda kb, percepts: "the battery is empty" if percepts.holds("battery_empty") else "",

@@ -43,6 +43,6 @@ def uav_model() -> Model:
     model.action("analyse_on_site", requires=["analyse_from_above"]).constrain(
         battery >= ANALYSE_LEVEL
     )
-    model.action("return_and_recharge", requires=["go_to_base"])
+    model.action("return_and_recharge", requires=["go_to_base"], restores=[battery])
     model.action("land_and_fold_gripper", requires=["fold_gripper"])
     return model

@@ -12,7 +12,7 @@ until all are analysed
 After a pick-up, it lands and folds the gripper before it analyses on site, whatever happened in between.
 
 Each action says when it is finished; the components that it needs do the flying. The tree and the plan executor run the
-same behaviours, and the PDDL is made from their schemas. Every action waits until the robot is configured for it, so
+same behaviours. Every action waits until the robot is configured for it, so
 one behaviour follows another only in a safe state.
 """
 
@@ -34,20 +34,8 @@ from rosa_bt import (
     switch_safely,
 )
 from rosa_bt.decorators import UntilSuccess
-from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
 SAMPLES: Final = tuple(f"sample_{number}" for number in range(1, MOST_SAMPLES + 1))
-
-# Whether a sample is wanted is sensed, so the goal changes by itself when one is added.
-PROBLEM: Final = DeclaredProblem(
-    objects={**dict.fromkeys(SAMPLES, "sample"), "drone": "robot"},
-    facts=(
-        "(looking drone)",
-        "(gripper_folded drone)",
-        *(f"(wanted {one})" for one in SAMPLES[:-1]),
-    ),
-    goal=("(forall (?s - sample) (imply (wanted ?s) (analysed ?s)))",),
-)
 
 
 def analysed(percepts: Percepts) -> int:
@@ -80,13 +68,13 @@ def facts(kb: KnowledgeBase, percepts: Percepts) -> Mapping[str, bool]:
 
 
 class UavAction(RosaAction):
-    """An action with its schema and the name of its behaviour; works when all that it needs runs."""
+    """An action with the name of its behaviour; works when all that it needs runs."""
 
-    schema: ClassVar[ActionSchema]
+    action_name: ClassVar[str]
     title: ClassVar[str]
 
     def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
-        super().__init__(self.title, kb, self.schema.rosa_action, wait=True)
+        super().__init__(self.title, kb, self.action_name, wait=True)
         self.percepts = percepts
 
 
@@ -94,14 +82,7 @@ class SearchForSamples(UavAction):
     """Search until there is a sample to be analysed."""
 
     title: ClassVar = "search"
-    schema: ClassVar = ActionSchema(
-        "search_for_samples",
-        parameters=("?s - sample", "?r - robot"),
-        start=("(looking ?r)", "(wanted ?s)"),
-        end_effects=("(target ?s)", "(not (looking ?r))"),
-        duration_s=15,
-        cost=1,
-    )
+    action_name: ClassVar = "search_for_samples"
 
     def update(self) -> Status:
         return Status.SUCCESS if target(self.percepts) else Status.RUNNING
@@ -121,43 +102,21 @@ class PickUpAndAnalyse(_Analyse):
     """Pick up a sample and analyse it in the gripper: the better analysis."""
 
     title: ClassVar = "pick up"
-    schema: ClassVar = ActionSchema(
-        "pick_up_and_analyse",
-        parameters=("?s - sample", "?r - robot"),
-        start=("(target ?s)",),
-        start_effects=("(not (gripper_folded ?r))",),
-        end_effects=("(analysed ?s)", "(not (target ?s))", "(looking ?r)"),
-        duration_s=18,
-        cost=1,
-    )
+    action_name: ClassVar = "pick_up_and_analyse"
 
 
 class AnalyseOnSite(_Analyse):
     """Analyse a sample from above with the infra-red camera; the gripper has to be folded."""
 
     title: ClassVar = "analyse on site"
-    schema: ClassVar = ActionSchema(
-        "analyse_on_site",
-        parameters=("?s - sample", "?r - robot"),
-        start=("(target ?s)",),
-        over_all=("(gripper_folded ?r)",),
-        end_effects=("(analysed ?s)", "(not (target ?s))", "(looking ?r)"),
-        duration_s=10,
-        cost=3,
-    )
+    action_name: ClassVar = "analyse_on_site"
 
 
 class LandAndFoldGripper(UavAction):
     """Land and fold the gripper."""
 
     title: ClassVar = "land and fold"
-    schema: ClassVar = ActionSchema(
-        "land_and_fold_gripper",
-        parameters=("?r - robot",),
-        end_effects=("(gripper_folded ?r)",),
-        duration_s=8,
-        cost=1,
-    )
+    action_name: ClassVar = "land_and_fold_gripper"
 
     def update(self) -> Status:
         return Status.SUCCESS if self.percepts.holds("gripper_folded") else Status.RUNNING
@@ -170,14 +129,7 @@ class ReturnAndRecharge(UavAction):
     """
 
     title: ClassVar = "recharge"
-    schema: ClassVar = ActionSchema(
-        "return_and_recharge",
-        parameters=("?r - robot",),
-        start=("(or (looking ?r) (not (action_feasible ?a3)))",),
-        duration_s=30,
-        cost=30,
-        makes_feasible=("search_for_samples", "pick_up_and_analyse", "analyse_on_site"),
-    )
+    action_name: ClassVar = "return_and_recharge"
 
     def initialise(self) -> None:
         self._before = self.percepts.count("battery_recharged")

@@ -12,8 +12,9 @@ from typing import Final, NamedTuple
 from missions.engine.question import Answer
 from rosa_bt.display import FONT, LETTER, LINE, svg_box, svg_size
 from rosa_pddl import Certificate, Domain, PlanningResult, State, Step
-from rosa_pddl.domain import UpThing
-from rosa_pddl.validate import binding_of, ended, mentioned_atoms, started
+from rosa_pddl.domain import Formula
+from rosa_pddl.grounding import binding_of
+from rosa_pddl.validate import ended, mentioned_atoms, started
 
 _LETTERS: Final = 38
 """The longest line in a box [characters]."""
@@ -62,6 +63,7 @@ def lines_of(answer: Answer) -> Iterator[str]:
                 if link.target == number
             ]
             yield f"  {number + 1}  {step}" + (f"  needs {', '.join(needs)}" if needs else "")
+    yield from result.assumptions
     yield from (
         f"out: {question.kb.why(question.kb.actions[action])}" for action in question.unfeasible
     )
@@ -75,6 +77,7 @@ def as_data(result: PlanningResult) -> dict[str, object]:
         "engine": result.engine,
         "cost": result.cost,
         "steps": steps,
+        "assumptions": list(result.assumptions),
     }
 
 
@@ -88,6 +91,9 @@ def certificate_lines(certificate: Certificate) -> Iterator[str]:
         rows.append((", ".join(out) or "none", cost, found))
     widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
     yield from (f"{out:<{widths[0]}}  {cost:>{widths[1]}}  {plan}" for out, cost, plan in rows)
+    for cause, result in certificate.causes.items():
+        if result.assumptions:
+            yield f"{cause}: {'; '.join(result.assumptions)}"
     yield f"single failures that end the mission: {', '.join(certificate.fatal) or 'none'}"
 
 
@@ -95,7 +101,8 @@ def certificate_as_data(certificate: Certificate) -> dict[str, object]:
     entries = [
         {"unfeasible": list(out), **as_data(result)} for out, result in certificate.entries.items()
     ]
-    return {"fatal": list(certificate.fatal), "entries": entries}
+    causes = [{"cause": cause, **as_data(result)} for cause, result in certificate.causes.items()]
+    return {"fatal": list(certificate.fatal), "entries": entries, "causes": causes}
 
 
 def causes_of(answer: Answer) -> CausalOrder:
@@ -105,7 +112,7 @@ def causes_of(answer: Answer) -> CausalOrder:
 
 
 def causal_order(
-    domain: Domain, steps: Sequence[Step], state: State, goals: Iterable[UpThing]
+    domain: Domain, steps: Sequence[Step], state: State, goals: Iterable[Formula]
 ) -> CausalOrder:
     """Return why the steps of a plan from a state to the goals come in their order."""
     changer: dict[str, int] = {}

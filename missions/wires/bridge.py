@@ -173,7 +173,7 @@ class Bridge:
 
     def _make_stale(self, name: str) -> None:
         if self._kb.attributes[name].value is not None:
-            self._kb.tell(Event(0, self._kb.now, "stale", (name,)))
+            self._kb.replay(Event(0, self._kb.now, "stale", (name,)))
 
     def _receive(self, message: Message) -> None:
         problems = self._kb.receive(message, rules=self._rules)

@@ -452,7 +452,7 @@ def read_page(path: str | Path) -> Recorded:
             row = next(rows, None)
         if event is not None and event.number > kb.log.last:
             now[0] = max(now[0], event.time)
-            kb.tell(event)
+            kb.replay(event)
     recorder.close()
     return replace(
         recorder.recorded, note=f"{bag.cut}; all before that is shown" if bag.cut else ""

@@ -16,7 +16,7 @@ from kb import Model
 from kb.status import OPERATORS
 from missions.agv.joint import Place, Question, Task
 from missions.agv.model import Building, Corridor
-from rosa_pddl.engines import fast_downward_program
+from rosa_pddl.engines import fast_downward_command
 from rosa_pddl.search import distances
 
 GOALS = {"time": 1e3, "energy": 1e3, "collisions": 1e6}
@@ -224,7 +224,9 @@ def by_axioms(robot: Robot, question: Question, folder: Path) -> int | None:
         "task.sas",
     ]
     subprocess.run(command, cwd=folder, capture_output=True, check=True)
-    search = [str(fast_downward_program()), "--search", "astar(blind())"]
+    folder = Path(fast_downward_command()[1]).parent
+    program = folder / "builds" / "release" / "bin" / "downward"
+    search = [str(program), "--search", "astar(blind())"]
     task = (folder / "task.sas").read_text()
     done = subprocess.run(
         search, cwd=folder, input=task, capture_output=True, text=True, check=False

@@ -68,7 +68,7 @@ def forecasts(kb, attribute, model, every_s, noise=0.0, seed=0):
     for event in kb.log:
         now[0] = event.time
         if event.verb in ACTION_VERBS:
-            again.tell(event)
+            again.replay(event)
         if event.verb != "measure" or event.arguments[0] != attribute:
             continue
         place += 1

@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 ALLOWED = {
     "kb": {"kb", "lark", "ortools", "owlready2", "rdflib"},
     "rosa_bt": {"rosa_bt", "kb", "py_trees", "lark"},
-    "rosa_pddl": {"rosa_pddl", "kb", "py_trees", "unified_planning"},
+    "rosa_pddl": {"rosa_pddl", "kb", "kairos", "py_trees", "unified_planning"},
     "suave_env": {"suave_env", "mujoco", "numpy", "gymnasium"},
     "missions": {
         "missions",
@@ -76,7 +76,6 @@ LATE_MODULES = {
     "missions/views/picture.py",
     "missions/views/terminal.py",
     "missions/testing/plugin.py",
-    "rosa_pddl/engines/label_setting.py",
     "suave_env/gym.py",
 }
 

@@ -4,7 +4,6 @@ from fractions import Fraction
 from itertools import product
 
 from kb.planning import apply_selection, by_priority, decide
-from kb.state import Overlay
 from kb.status import Status
 
 
@@ -13,28 +12,28 @@ def exact(number):
 
 
 def ranked(state, node):
-    possible = [part for part in node.parts if state.status[part.index] is not Status.UNFEASIBLE]
+    possible = [part for part in node.requires if state.status[part] is not Status.UNFEASIBLE]
     return sorted(possible, key=lambda part: by_priority(part.element))
 
 
 def every_choice(state):
     """Yield rank and nodes of every joint choice: designs by function, configurations by component."""
     network = state.network
-    required = [node for node in network.functions.values() if state.required[node.index]]
+    required = [node for node in network.functions.values() if state.is_required(node)]
     free = [node for node in required if ranked(state, node)]
     kept = [
         part
         for node in required
         if node not in free
-        for part in node.parts
-        if state.selected[part.index]
+        for part in node.requires
+        if part in state.selected
     ]
-    served = [part for node in required for design in node.parts for part in design.parts]
+    served = [part for node in required for design in node.requires for part in design.requires]
     for ranks in product(*(range(len(ranked(state, node))) for node in free)):
         designs = [ranked(state, node)[rank] for node, rank in zip(free, ranks, strict=True)]
-        needed = [part for design in (*designs, *kept) for part in design.parts]
+        needed = [part for design in (*designs, *kept) for part in design.requires]
         given_up = decide(state, designs).deactivate
-        asserted = [part for part in served if state.asserted_required[part.index]]
+        asserted = [part for part in served if part in state.asserted_required]
         needed += [part for part in asserted if part.name not in given_up]
         components = [
             node for node in network.components.values() if node in needed and ranked(state, node)
@@ -48,17 +47,18 @@ def every_choice(state):
 
 def outcome(state, designs, configurations, criterion):
     """Return what a choice is worth, and the load of each budget, once it is carried out."""
-    after = Overlay(state)
+    after = state.copy()
     selection = decide(after, [*designs, *configurations])
     apply_selection(after, selection)
     network = state.network
     for names, active in ((selection.activate, True), (selection.deactivate, False)):
         for name in names:
-            after.active[network.components[name].index] = active
-    running = [node for node in network.components.values() if after.active[node.index]]
-    causers = [node for node in network.designs.values() if after.selected[node.index]]
+            node = network.components[name]
+            (after.active.add if active else after.active.discard)(node)
+    running = [node for node in network.components.values() if node in after.active]
+    causers = [node for node in network.designs.values() if node in after.selected]
     causers += running
-    causers += [part for node in running for part in node.parts if after.selected[part.index]]
+    causers += [part for node in running for part in node.requires if part in after.selected]
     causing = {node.element for node in causers}
     estimations = [one for one in network.model.estimations if one.causer in causing]
     worth = Fraction(0)
@@ -102,4 +102,4 @@ def best_by_trying(state, criterion):
 
 
 def names(chosen):
-    return {node.wholes[0].name: node.name for node in chosen}
+    return {node.used_by[0].name: node.name for node in chosen}

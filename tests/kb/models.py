@@ -84,15 +84,15 @@ def is_so(chance):
     return chance.choice((False, True))
 
 
-def models(*, aging=False):
+def models(*, aging=False, debounced=False):
     """A small model with anything that the builder allows; names are shared across kinds on purpose.
 
     With aging, measurements may be too old after a few seconds.
     """
-    return RANDOMS.map(lambda chance: model_by(chance, aging=aging))
+    return RANDOMS.map(lambda chance: model_by(chance, aging=aging, debounced=debounced))
 
 
-def model_by(chance, *, aging=False):
+def model_by(chance, *, aging=False, debounced=False):
     model = Model("random")
     ages, priorities = (1.0, 3.0, 6.0, math.inf) if aging else (math.inf,), (None, 0, 1, 2, -1)
     attributes = [
@@ -100,6 +100,7 @@ def model_by(chance, *, aging=False):
             f"x{i}",
             max_age=chance.choice(ages),
             when_stale=chance.choice(("not evaluated", "violated")),
+            agreement=chance.choice(((1, 1), (2, 2), (2, 3))) if debounced else (1, 1),
         )
         for i in range(chance.randint(1, 2))
     ]
@@ -143,6 +144,10 @@ def model_by(chance, *, aging=False):
         expression = compare(
             chance.choice(attributes), chance.choice(OPERATORS), chance.choice(NUMBERS)
         )
+        if debounced:
+            expression = expression.steady(
+                hysteresis=chance.choice((0.0, 0.25)), dwell=chance.choice((0.0, 1.0, 2.5))
+            )
         model.constrain([constrainable[position] for position in positions], expression)
     return model
 
@@ -302,8 +307,7 @@ class Twins:
 
     def _measure(self, name, value):
         self.kb.measure(name, value)
-        self.naive.value[name] = value
-        self.naive.time[name] = self.clock.now
+        self.naive.measure(name, value)
 
     def _failed(self, name):
         self.kb.component_failed(name)

@@ -25,6 +25,7 @@ class Naive:
         self.model = model
         self.value = {}
         self.time = {}  # of the measurements, by name of attribute
+        self.measurements = {}  # all of them as (time, value), by name of attribute
         self.now = 0.0
         self.failed = set()
         self.active = set()
@@ -33,6 +34,11 @@ class Naive:
         self.open_actions = set()
         self.asserted = {}  # status by (kind, name); constraints by ("constraint", position in model.constraints)
         self.asserted_required = set()  # (kind, name)
+
+    def measure(self, name, value):
+        self.value[name] = value
+        self.time[name] = self.now
+        self.measurements.setdefault(name, []).append((self.now, value))
 
     # structure
 
@@ -92,8 +98,20 @@ class Naive:
         attribute = self.model.attributes[constraint.attribute]
         if self.now - self.time.get(constraint.attribute, self.now) > attribute.max_age:
             return str(attribute.when_stale)
+        if constraint.hysteresis or constraint.dwell or attribute.agreement != (1, 1):
+            return self.debounced_status(constraint, attribute)
         holds = COMPARE[constraint.operator](self.value[constraint.attribute], constraint.value)
         return "satisfied" if holds else "violated"
+
+    def debounced_status(self, constraint, attribute):
+        """Return the status after looking at all measurements again, at every half second."""
+        letter = DebouncedByTheLetter(constraint, attribute)
+        for half_seconds in range(round(2 * self.now) + 1):
+            letter.look(half_seconds / 2)
+            for time, value in self.measurements[attribute.name]:
+                if time == half_seconds / 2:
+                    letter.measure(time, value)
+        return letter.status
 
     def configuration_status(self, name):
         return "unfeasible" if self.violated(self.model.configurations[name]) else "feasible"
@@ -252,3 +270,60 @@ class Naive:
             frozenset(self.configurations - before),
         )
         return plan if any(plan) else None
+
+
+class DebouncedByTheLetter:
+    """One debounced constraint: its status, since when, and what was said since the last silence."""
+
+    def __init__(self, constraint, attribute):
+        self.constraint = constraint
+        self.attribute = attribute
+        self.status = "not evaluated"
+        self.since = None
+        self.votes = []
+        self.measured = None
+        self.is_silent = False
+        self.candidate = None
+        self.candidate_since = None
+
+    def measure(self, now, value):
+        self.votes = [*self.votes, value][-self.attribute.agreement[1] :]
+        self.measured = now
+        self.look(now)
+
+    def look(self, now):
+        if self.measured is not None and now - self.measured > self.attribute.max_age:
+            policy = str(self.attribute.when_stale)
+            self.__init__(self.constraint, self.attribute)
+            self.status = policy
+            self.is_silent = True
+        if self.is_silent:
+            self._look_after_silence(now)
+            return
+        vote = self._vote(self.status)
+        may_change = self.status == "not evaluated" or now >= self.since + self.constraint.dwell
+        if vote not in (None, self.status) and may_change:
+            self.status = vote
+            self.since = now
+
+    def _look_after_silence(self, now):
+        vote = self._vote("violated")
+        if vote != self.candidate:
+            self.candidate = vote
+            self.candidate_since = now
+        if vote is not None and now >= self.candidate_since + self.constraint.dwell:
+            self.status = vote
+            self.since = now
+            self.is_silent = False
+
+    def _vote(self, before):
+        bound = self.constraint.value
+        if before == "violated" and self.constraint.hysteresis:
+            is_lower_bound = self.constraint.operator in (">=", ">")
+            bound += self.constraint.hysteresis * (1 if is_lower_bound else -1)
+        holds = COMPARE[self.constraint.operator]
+        satisfied = sum(holds(value, bound) for value in self.votes)
+        enough = self.attribute.agreement[0]
+        if satisfied >= enough:
+            return "satisfied"
+        return "violated" if len(self.votes) - satisfied >= enough else None

@@ -130,7 +130,7 @@ def test_a_log_told_again_with_its_amendments_makes_the_same_known(given_setting
     twin = KnowledgeBase(robot(*given_settings), clock=again)
     for event in kb.log:
         again.now = event.time
-        twin.tell(through_json(event))
+        twin.replay(through_json(event))
     again.now = clock.now
     assert known(twin) == known(kb)
     assert twin.model == kb.model

@@ -126,7 +126,7 @@ def test_noise_of_any_kind_about_a_threshold_switches_at_most_once_a_dwell(noise
     assert len(plans) - first_plans <= clock.now / dwell
 
 
-def test_by_default_nothing_is_steady_as_in_rosa():
+def test_by_default_nothing_is_debounced_as_in_rosa():
     kb = KnowledgeBase(rover(), clock=Clock())
     for value in (0.49, 0.5, 0.49, 0.5):
         kb.measure("light", value)

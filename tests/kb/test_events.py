@@ -21,7 +21,10 @@ def known(kb):
         (one.activate, one.deactivate, one.parameters, one.start, one.end, one.result)
         for one in kb.plans
     ]
-    return [list(column) for column in state_of(kb).columns.values()], requests, plans
+    written = state_of(kb).to_json(1000)
+    written.pop("votes")  # they name events, which have other numbers in another base
+    written.pop("histories")
+    return written, requests, plans
 
 
 def through_json(event):
@@ -43,7 +46,7 @@ def test_events_told_to_another_base_make_it_equal(story):
     again = KnowledgeBase(model, clock=clock)
     for event in twins.kb.log:
         clock.now = event.time
-        again.tell(through_json(event))
+        again.replay(through_json(event))
     clock.now = twins.clock.now
     assert known(again) == known(twins.kb)
 
@@ -163,14 +166,10 @@ def test_diagnostics_are_told_as_what_they_say(kb):
     status = [{"message": "QA status", "values": [{"key": "light", "value": "0.3"}]}]
     status += [
         {"message": "component status", "values": [{"key": "camera", "value": word}]}
-        for word in ("error", "ok")
+        for word in ("ok", "error")
     ]
     assert kb.receive({"status": status}) == ()
-    assert said(kb.log) == [
-        ("measure", ("light", 0.3)),
-        ("component_failed", ("camera", "")),
-        ("component_recovered", ("camera",)),
-    ]
+    assert said(kb.log) == [("measure", ("light", 0.3)), ("component_failed", ("camera", ""))]
 
 
 def test_what_time_does_is_an_event_at_its_own_instant(kb, model, clock):

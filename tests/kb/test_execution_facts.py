@@ -17,11 +17,11 @@ in_life = settings(
 
 def start(script=None, *, kb=None, system=Scripted, veto=None, **options):
     kb = kb or base(rover())[0]
-    managed = system(kb._knowledge.clock, script)
+    managed = system(kb._clock, script)
     executor = StagedExecutor(managed, **{"attempts": 1, **options})
     return (
         kb,
-        kb._knowledge.clock,
+        kb._clock,
         managed,
         ConfigurationManager(kb, managed, executor=executor, veto=veto),
     )

@@ -9,7 +9,6 @@ from models import Clock, Twins, state_of, stories
 
 from kb import KnowledgeBase, Model, Status
 from kb.explanation import Comparison, explain, why
-from kb.state import Overlay, propagate
 from kb.status import STATUSES
 
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
@@ -42,7 +41,7 @@ def nodes_of(cause, whole):
     if cause.kind == "constraint":
         return [one for one in whole.constraints if one.name == cause.name]
     return [
-        one for one in (*whole.parts, whole) if (one.kind, one.name) == (cause.kind, cause.name)
+        one for one in (*whole.requires, whole) if (one.kind, one.name) == (cause.kind, cause.name)
     ]
 
 
@@ -58,18 +57,24 @@ def disturbed(data, state, chain):
     """Return a state in which everything that a chain does not name is as it may be."""
     told = {node for node, _ in chain}
     attributes = {one.measurement.attribute for _, one in chain if one.measurement}
-    overlay, network = Overlay(state), state.network
+    overlay, network = state.copy(), state.network
+    overlay.touch(network.present())
     for node in network.nodes:
         if node.kind == "attribute":
             if node.name not in attributes:
-                overlay.value[node.index] = data.draw(
-                    st.sampled_from((None, -0.5, 0.25, 0.75, 1.5))
-                )
+                value = data.draw(st.sampled_from((None, -0.5, 0.25, 0.75, 1.5)))
+                overlay.value.pop(node, None)
+                if value is not None:
+                    overlay.value[node] = value
         elif node not in told:
             if node.kind == "component":
-                overlay.failed[node.index] = data.draw(st.booleans())
-            overlay.asserted[node.index] = data.draw(st.sampled_from((None, *STATUSES[node.kind])))
-    propagate(overlay, network.nodes)
+                is_failed = data.draw(st.booleans())
+                (overlay.failed.add if is_failed else overlay.failed.discard)(node)
+            status = data.draw(st.sampled_from((None, *STATUSES[node.kind])))
+            overlay.asserted.pop(node, None)
+            if status is not None:
+                overlay.asserted[node] = status
+    overlay.infer()
     return overlay
 
 
@@ -77,7 +82,7 @@ def disturbed(data, state, chain):
 @given(stories(max_size=20), st.data())
 def test_each_reason_by_itself_keeps_a_status_from_being_better(story, data):
     state, nodes = after(story)
-    troubled = [node for node in nodes if state.status[node.index] not in WORKING]
+    troubled = [node for node in nodes if state.status[node] not in WORKING]
     assume(troubled)
     node = data.draw(st.sampled_from(troubled))
     explanation = explain(state, node, 0.0)
@@ -87,21 +92,21 @@ def test_each_reason_by_itself_keeps_a_status_from_being_better(story, data):
             for part in nodes_of(cause, node):
                 chain += named(part, cause)
         other = disturbed(data, state, [*chain, (node, explanation)])
-        assert BETTER.index(other.status[node.index]) <= BETTER.index(explanation.status)
+        assert BETTER.index(other.status[node]) <= BETTER.index(explanation.status)
 
 
 @SLOW
 @given(stories(max_size=20), st.data())
 def test_what_works_keeps_working_while_what_it_follows_from_stays(story, data):
     state, nodes = after(story)
-    assume(all(sum(state.selected[part.index] for part in node.parts) < 2 for node in nodes))
-    working = [node for node in nodes if state.status[node.index] in WORKING]
+    assume(all(sum(part in state.selected for part in node.requires) < 2 for node in nodes))
+    working = [node for node in nodes if state.status[node] in WORKING]
     assume(working)
     node = data.draw(st.sampled_from(working))
     explanation = explain(state, node, 0.0)
     chain = list(named(node, explanation))
     other = disturbed(data, state, chain)
-    assert other.status[node.index] is explanation.status
+    assert other.status[node] is explanation.status
 
 
 @SLOW
@@ -112,16 +117,14 @@ def test_without_one_cause_of_each_reason_the_status_is_better(story, number):
         explanation = explain(state, node, 0.0)
         if explanation.status in WORKING or not explanation.reasons:
             continue
-        overlay, touched = Overlay(state), []
+        overlay = state.copy()
         for reason in explanation.reasons:
             for part in nodes_of(reason[number % len(reason)], node):
                 good = (Status.SATISFIED, Status.SOLVED, Status.FEASIBLE)
-                overlay.asserted[part.index] = next(
-                    one for one in good if one in STATUSES[part.kind]
-                )
-                touched.append(part)
-        propagate(overlay, touched)
-        assert BETTER.index(overlay.status[node.index]) > BETTER.index(explanation.status)
+                overlay.asserted[part] = next(one for one in good if one in STATUSES[part.kind])
+                overlay.touch([part])
+        overlay.infer()
+        assert BETTER.index(overlay.status[node]) > BETTER.index(explanation.status)
 
 
 @SLOW
@@ -138,7 +141,7 @@ def test_every_chain_ends_in_facts_as_words_and_as_data_and_why_is_its_sentence(
                 assert cause.measurement.attribute in state.network.attributes
             else:
                 assert cause.measurement is None
-                assert cause.status is state.status[part.index]
+                assert cause.status is state.status[part]
 
 
 @pytest.fixture
@@ -259,7 +262,7 @@ def test_only_the_selected_design_explains_an_error_of_its_function():
 def test_a_stale_measurement_is_told_with_its_age(kb):
     kb.measure("light", 0.95)
     assert "light 0.95 violates <= 0.9" in kb.explain("look").sentence
-    kb._knowledge.clock.now += 12.0
+    kb._clock.now += 12.0
     (constraint,) = kb.actions["look"].constraints
     assert str(kb.explain(constraint)) == "light 0.95 is stale: measured 12.0 s ago, at most 5 s"
     assert kb.explain(constraint).measurement.is_stale

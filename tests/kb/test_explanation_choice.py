@@ -14,7 +14,7 @@ SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_to
 
 
 def choice_of(kb, node):
-    return explain_choice(state_of(kb), node, kb._knowledge.clock())
+    return explain_choice(state_of(kb), node, kb._clock())
 
 
 @SLOW
@@ -29,18 +29,16 @@ def test_every_choice_is_the_one_selected_or_else_the_first_by_priority(story):
     assume(choices)
     for node in choices:
         explained = explain_choice(state, node, 0.0)
-        possible = [
-            part for part in node.parts if state.status[part.index] is not Status.UNFEASIBLE
-        ]
-        selected = [part.name for part in node.parts if state.selected[part.index]]
+        possible = [part for part in node.requires if state.status[part] is not Status.UNFEASIBLE]
+        selected = [part.name for part in node.requires if part in state.selected]
         first = min((part.element for part in possible), key=by_priority, default=None)
         assert explained.is_selected is bool(selected)
         assert explained.chosen in (selected or [first and first.name])
         names = [alternative.name for alternative in explained.alternatives]
-        assert sorted(names) == sorted({part.name for part in node.parts} - {explained.chosen})
+        assert sorted(names) == sorted({part.name for part in node.requires} - {explained.chosen})
         for alternative in explained.alternatives:
-            part = next(part for part in node.parts if part.name == alternative.name)
-            assert alternative.status is state.status[part.index]
+            part = next(part for part in node.requires if part.name == alternative.name)
+            assert alternative.status is state.status[part]
             assert alternative.priority == part.element.priority
             told = alternative.reason.startswith("it is unfeasible because ")
             assert told is (part not in possible)

@@ -137,7 +137,7 @@ def test_forecast_is_the_same_whoever_asked_before(clock):
     kb = KnowledgeBase(model, clock=other)
     for event in once.log:
         other.now = event.time
-        kb.tell(event)
+        kb.replay(event)
         ask(kb)
     assert ask(kb) == ask(once)
 
@@ -200,7 +200,7 @@ def test_change_of_a_rate_is_an_event_that_replays(clock):
     kb.measure("energy", 0.9)
     model.attributes["energy"].changes(-0.002)
     for event in kb.log:
-        other.tell(event)
+        other.replay(event)
     assert other.forecast("energy", 100.0) == kb.forecast("energy", 100.0)
     assert other.forecast("energy", 100.0).value == pytest.approx(0.7)
 

@@ -109,7 +109,7 @@ HUGE = 10**5000
     "value", [HUGE, -HUGE, Breaks(), math.nan], ids=["huge", "least", "broken", "nan"]
 )
 @pytest.mark.parametrize(
-    "tell",
+    "replay",
     [
         lambda kb, value: kb.measure("v", value),
         lambda kb, value: kb.situation(v=value),
@@ -286,7 +286,7 @@ TOLD = {
     "why": (("a",), 1),
     "explain_choice": (("f",), 1),
     "situation": (({"v": 0.5},), 1),
-    "tell": ((None,), 1),
+    "replay": ((None,), 1),
     "subscribe": ((print,), 1),
 }
 """Calls that are right, with as many arguments as can be wrong."""

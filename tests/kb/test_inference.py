@@ -1,14 +1,12 @@
 """Laws of inference: the quick engine against a twin that recomputes everything from the facts."""
 
 import collections
-import sys
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from models import KINDS, Clock, Twins, events, models, stories, subsets
+from models import KINDS, Twins, events, models, stories, subsets
 
 from kb import KnowledgeBase, Model, Status
-from kb.state import Marked, infer_anew
 
 slow_to_generate = settings(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60
@@ -209,50 +207,3 @@ def test_ten_thousand_elements_are_inferred_without_recursion_trouble():
     plan = kb.select({f"function {number}": f"design {number}" for number in range(1500)})
     assert len(plan.activate) == 1500
     assert str(kb.explain(kb.actions["everything"]))
-
-
-class Walked(list):
-    """The wholes of a hub, which say how often somebody has gone through all of them."""
-
-    times = 0
-
-    def __iter__(self):
-        Walked.times += 1
-        return super().__iter__()
-
-
-def test_an_event_at_a_hub_costs_as_many_steps_as_it_has_users_not_wholes(monkeypatch):
-    model = Model("hub")
-    component, busy = model.component("camera"), model.component("lamp")
-    see = model.function("see")
-    see.design("by lamp", [busy], priority=1)
-    for number in range(40):
-        model.function(f"f{number}").design(f"d{number}", [component], priority=1)
-        model.action(f"a{number}", requires=[see, f"f{number}"])
-    kb = KnowledgeBase(model, clock=Clock())
-    monkeypatch.setattr(Walked, "times", 0)
-    with kb.reading() as state:
-        for node in (state.network.functions["see"], state.network.components["camera"]):
-            node.wholes = Walked(node.wholes)
-        infer_anew(state)
-    assert Walked.times == 0
-    kb.request_action("a1")
-    kb.select({"see": "by lamp", "f1": "d1"})
-    for component in ("camera", "lamp"):
-        kb.component_active(component, True)
-    assert kb.actions["a1"].status is Status.SOLVED
-    kb.request_action("a2")
-    kb.cancel_action("a1", "completed")
-    assert kb.obsolete().designs == ("d1",)
-    assert Walked.times == 0
-
-
-def test_marked_nodes_that_are_few_again_take_little_room_again():
-    marked = Marked()
-    for number in range(10_000):
-        marked[number] = True  # whatever it is
-    most = sys.getsizeof(marked.own)
-    for number in range(1, 10_000):
-        marked[number] = False
-    assert list(marked) == [0]
-    assert sys.getsizeof(marked.own) < most / 100

@@ -644,7 +644,7 @@ def test_a_planner_has_nothing_to_look_at_once_nothing_is_required_and_all_is_ca
     for name in model.components:
         twins.happen(("active", name, False))
     state = state_of(twins.kb)
-    assert (state.adaptable.nodes(), state.obsolete.nodes(), state.lacking.nodes()) == ([], [], [])
+    assert (state.adaptable, state.obsolete(), state.inactive_required()) == (set(), [], [])
 
 
 def test_facts_told_from_several_threads_are_all_there():

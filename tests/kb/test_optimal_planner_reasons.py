@@ -88,7 +88,7 @@ def test_plan_says_what_was_maximised_and_what_it_is_worth(model):
 def test_too_small_budget_is_explained_everywhere(model, caplog):
     kb = KnowledgeBase(model, clock=Clock())
     planner = OptimalPlanner(budgets={"power": 5.0})
-    manager = ConfigurationManager(kb, Scripted(kb._knowledge.clock), planner=planner)
+    manager = ConfigurationManager(kb, Scripted(kb._clock), planner=planner)
     kb.request_action("explore", "accuracy")
     with caplog.at_level(logging.WARNING):
         assert manager.update() is None

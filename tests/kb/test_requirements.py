@@ -11,7 +11,7 @@ from kb import Model, Status
 from kb.elements import Constraint
 from kb.explanation.requirements import Interval, Requirements
 from kb.network import Network
-from kb.state import State, infer_anew, propagate
+from kb.state import State
 
 GRID = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
 """The thresholds of random models, and numbers between and beyond them."""
@@ -24,10 +24,10 @@ def alternatives(node, **options):
 
 def measured(network, values):
     state = State(network)
-    infer_anew(state)
+    state.touch(network.present())
     for name, value in values.items():
-        state.value[network.attributes[name].index] = value
-    propagate(state, network.attributes.values())
+        state.value[network.attributes[name]] = value
+    state.infer()
     return state
 
 
@@ -50,7 +50,7 @@ def test_an_element_is_possible_exactly_within_its_boxes(model):
             found = requirements.of(node)
             assert found.complete
             possible = any(inside(box, values) for box in found.boxes)
-            assert possible is (state.status[node.index] not in IMPOSSIBLE)
+            assert possible is (state.status[node] not in IMPOSSIBLE)
 
 
 @given(models())

@@ -116,7 +116,7 @@ def test_what_is_measured_no_more_can_be_told_to_be_stale_and_replay_knows_it():
         model.action("look", constraints=[light >= 0.5])
         now = [0.0]
         kb = KnowledgeBase(model, clock=lambda: now[0])
-        kb.tell(Event(0, 0.0, "stale", ("light",)))
+        kb.replay(Event(0, 0.0, "stale", ("light",)))
         assert not kb.attributes["light"].is_stale, "it was never measured"
         return kb, now
 
@@ -125,7 +125,7 @@ def test_what_is_measured_no_more_can_be_told_to_be_stale_and_replay_knows_it():
         kb.measure("light", 0.1)
         now[0] = 2.0
         for _ in range(2):
-            kb.tell(Event(0, 2.0, "stale", ("light",)))
+            kb.replay(Event(0, 2.0, "stale", ("light",)))
         (stale,) = [one for one in kb.log if one.verb == "stale"]
         assert (stale.time, stale.text) == (2.0, "light is stale: measured 2.0 s ago, and no more")
         (enough,) = kb.actions["look"].constraints
@@ -135,9 +135,9 @@ def test_what_is_measured_no_more_can_be_told_to_be_stale_and_replay_knows_it():
         again, shown = outlived(max_age)
         for event in kb.log:
             shown[0] = max(shown[0], event.time)
-            again.tell(event)
+            again.replay(event)
         assert [one.text for one in again.log] == [one.text for one in kb.log]
         kb.measure("light", 0.9)
         assert enough.status == "satisfied"
     with pytest.raises(UnknownName, match="light"):
-        kb.tell(Event(0, 9.0, "stale", ("lihgt",)))
+        kb.replay(Event(0, 9.0, "stale", ("lihgt",)))

@@ -116,7 +116,7 @@ def test_no_lock_is_held_while_the_code_of_others_runs(where):
         return 1.0
 
     if where == "clock":
-        kb._knowledge.clock = asks_by_another_thread
+        kb._clock = asks_by_another_thread
     else:
         kb.subscribe(asks_by_another_thread)
     kb.measure("light", 0.7)

@@ -207,12 +207,12 @@ def test_what_became_due_while_the_clock_was_read_is_told_before_the_fact():
     kb.measure("light", 0.2)
 
     def read_slowly():
-        kb._knowledge.clock, clock.now = clock, 9.0
+        kb._clock, clock.now = clock, 9.0
         kb.component_failed("eye")
         model.change(light, max_age=3.0)
         return 2.0
 
-    kb._knowledge.clock = read_slowly
+    kb._clock = read_slowly
     kb.component_recovered("eye")
     assert [one.verb for one in kb.log] == [
         "measure",
@@ -224,14 +224,14 @@ def test_what_became_due_while_the_clock_was_read_is_told_before_the_fact():
 
 
 def test_an_attribute_that_is_removed_while_the_clock_is_read_is_not_measured(kb):
-    wind, clock = kb.model.quality_attribute("wind"), kb._knowledge.clock
+    wind, clock = kb.model.quality_attribute("wind"), kb._clock
 
     def read_slowly():
-        kb._knowledge.clock = clock
+        kb._clock = clock
         kb.model.remove(wind)
         return clock()
 
-    kb._knowledge.clock = read_slowly
+    kb._clock = read_slowly
     with pytest.raises(UnknownName, match="wind"):
         kb.measure("wind", 1.0)
     assert [one.verb for one in kb.log] == ["amend", "amend"], (
@@ -260,7 +260,7 @@ def test_what_another_thread_tells_while_the_model_changes_is_so_by_the_model_be
         teller.join()
         twin = made()
         for event in kb.log:
-            twin.tell(event)
+            twin.replay(event)
         assert [*twin.log] == [*kb.log]
         orders.add(tuple(one.verb for one in kb.log))
     assert orders == {("measure", "amend"), ("amend", "measure")}
@@ -277,14 +277,14 @@ def test_a_clock_is_read_without_the_lock_when_a_situation_is_made():
             free.append(is_free(kb, 1.0))
         return 1.0
 
-    kb._knowledge.clock = read
+    kb._clock = read
     kb.situation(light=0.3).situation(at=2.0)
     assert free
     assert all(free)
 
 
 def test_what_another_thread_tells_while_the_clock_is_read_does_not_make_it_go_back(kb):
-    clock, teller = kb._knowledge.clock, threading.Thread(target=kb.measure, args=("light 1", 1.0))
+    clock, teller = kb._clock, threading.Thread(target=kb.measure, args=("light 1", 1.0))
 
     def read_slowly():
         shown = clock()
@@ -294,7 +294,7 @@ def test_what_another_thread_tells_while_the_clock_is_read_does_not_make_it_go_b
             teller.join()
         return shown
 
-    kb._knowledge.clock = read_slowly
+    kb._clock = read_slowly
     kb.measure("light 2", 1.0)
     assert [event.time for event in kb.log] == [6.0, 6.0]
 

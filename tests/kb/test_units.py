@@ -32,7 +32,7 @@ def base(**attribute):
     [
         lambda kb, value: kb.measure("battery_voltage", value),
         lambda kb, value: kb.situation(battery_voltage=value),
-        lambda kb, value: kb.tell(Event(9, 10.0, "measure", ("battery_voltage", value))),
+        lambda kb, value: kb.replay(Event(9, 10.0, "measure", ("battery_voltage", value))),
         lambda kb, value: kb.model.add_fact(MeasurementFact("battery_voltage", value)),
     ],
 )

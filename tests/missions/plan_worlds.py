@@ -63,7 +63,7 @@ def house(goal):
         (Path(folder) / "problem.pddl").write_text(SCAN_ALL.format(goal=goal))
         domain = load_domain(Path(folder) / "domain.pddl", Path(folder) / "problem.pddl")
     state = initial_state(domain) | {domain.feasible_atom(action) for action in domain.rosa_actions}
-    result = Planner(warm=False).plan(Problem(domain, state))
+    result = Planner().plan(Problem(domain, state))
     assert result.outcome.is_solved, result
     return domain, result.steps, state
 

@@ -2,7 +2,7 @@
 
 from itertools import product
 
-from agv_worlds import declarations_of_task, generated_building
+from agv_worlds import domain_of_task, generated_building
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.random import default_rng
@@ -42,10 +42,10 @@ def test_it_finds_what_the_joint_planner_finds_within_limits(seed, failed):
     quickest = planner.plan(Question(weights={"time": 1.0}))
     if not quickest.is_solved:
         return
-    told, engine = None, Planner("label-setting", timeout_s=60.0, cached=0)
+    told, engine = None, Planner(timeout_s=60.0, cached=0, moves=1_000_000)
     for limits in limits_of(planner, quickest):
         task = planner.task(Question(weights={"time": 1.0}, limits=limits))
-        told = told or declarations_of_task(task).load()
+        told = told or domain_of_task(task)
         left = {
             f"({left_of(name)})": amount
             for name, amount in zip(task.limited, task.limits, strict=True)
@@ -57,4 +57,4 @@ def test_it_finds_what_the_joint_planner_finds_within_limits(seed, failed):
             expected,
             answer.cost if answer.is_solved else None,
         ), (result, answer)
-        assert [attempt.way for attempt in result.attempts] == ["warm"]
+        assert [attempt.strategy for attempt in result.attempts] == ["search"]

@@ -261,7 +261,7 @@ def test_plan_of_steps_costs_what_the_joint_plan_costs(seed, places, failed, dat
     if data.draw(st.booleans()):
         kb.measure("energy", data.draw(st.floats(0.0, 6000.0)))
     result, answer = planned_and_joint(
-        building, kb, told(*heard, **lights), Planner("label-setting", warm=False)
+        building, kb, told(*heard, **lights), Planner()
     )
     assert result.outcome.is_solved == answer.is_solved
     if answer.is_solved:
@@ -302,7 +302,7 @@ def test_names_of_a_map_never_clash_with_those_of_the_plan():
     )
     kb = KnowledgeBase(building_model(building), clock=lambda: 0.0)
     result, answer = planned_and_joint(
-        building, kb, told("at now", "in c"), Planner("label-setting", warm=False)
+        building, kb, told("at now", "in c"), Planner()
     )
     assert (result.outcome.is_solved, result.cost) == (True, answer.cost)
     assert [step.action for step in result.steps if step.schema == "cross"] == [
@@ -398,4 +398,4 @@ def test_each_plan_made_while_driving_costs_what_the_joint_plan_costs(monkeypatc
     answered = [(future.result(), cost) for future, cost in asked if not future.cancelled()]
     assert len(answered) == 3
     assert [one.cost for one, _ in answered] == [cost for _, cost in answered]
-    assert {one.way for result, _ in answered for one in result.attempts} == {"warm"}
+    assert {one.strategy for result, _ in answered for one in result.attempts} == {"search"}

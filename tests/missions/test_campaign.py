@@ -210,6 +210,7 @@ def test_tables_hold_what_the_runs_gave(small):
             "" if record["search_time_s"] is None else str(record["search_time_s"])
         )
         assert float(row["violation_s"]) == record["violation_s"]
+    assert [run["run"] for run in json.loads((folder / "runs.json").read_text())] == list(rows)
     with (folder / "reactions.csv").open(newline="") as file:
         assert (
             len(list(csv.DictReader(file)))

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from missions.experiments import comparison
 from missions.experiments.comparison import (
-    contrast,
     holm,
     interval_of_mean,
     interval_of_sd,
+    paired,
     two_clusters,
 )
 
@@ -71,36 +71,18 @@ def test_intervals_hold_the_true_mean_about_as_often_as_they_say():
     assert 180 <= hits <= 198
 
 
-@settings(max_examples=40)
-@given(SAMPLES, SAMPLES)
-def test_contrast_is_the_same_seen_from_the_other_side(first, second):
-    (p, superiority), (other_p, other_superiority) = (
-        contrast(first, second),
-        contrast(second, first),
-    )
-    assert p == pytest.approx(other_p)
-    assert superiority + other_superiority == pytest.approx(1)
-    assert 0 <= p <= 1
-
-
-@settings(max_examples=40)
-@given(SAMPLES, SAMPLES)
-def test_superiority_is_the_share_of_pairs_that_are_larger(first, second):
-    pairs = [(a > b) + 0.5 * (a == b) for a in first for b in second]
-    assert contrast(first, second)[1] == pytest.approx(fmean(pairs))
-
-
-@settings(max_examples=20)
-@given(st.lists(NUMBERS, min_size=4, max_size=9, unique=True), st.integers(2, 3))
-def test_p_of_small_samples_is_the_share_of_splits_at_least_as_extreme(values, size):
-    def distance(indices):
-        inside = [values[i] for i in indices]
-        outside = [value for i, value in enumerate(values) if i not in indices]
-        return abs(sum(a > b for a in inside for b in outside) - len(inside) * len(outside) / 2)
-
-    splits = [distance(indices) for indices in combinations(range(len(values)), size)]
-    expected = fmean(one >= splits[0] for one in splits)
-    assert contrast(values[:size], values[size:])[0] == pytest.approx(expected)
+def test_paired_interval_holds_the_true_difference_as_often_as_it_says():
+    rng = numpy.random.default_rng(2)
+    hits = 0
+    for _ in range(200):
+        world = rng.normal(50.0, 20.0, 8)
+        first = world + rng.normal(1.0, 1.0, 8)
+        difference, p = paired(first, world)
+        hits += difference.low <= 1.0 <= difference.high
+        assert (p < 0.05) is not (difference.low <= 0.0 <= difference.high)
+        assert paired(world, first)[1] == pytest.approx(p)
+    assert 180 <= hits <= 198
+    assert paired([1.0, 2.0], [1.0, 2.0]) == ((0.0, 0.0, 0.0), 1.0)
 
 
 @given(PS)
@@ -155,7 +137,7 @@ def test_clusters_that_are_there_are_told_from_those_that_are_not():
 def test_no_values_are_no_sample():
     for ask in (
         lambda: interval_of_mean([], seeded()),
-        lambda: contrast([], [1.0]),
+        lambda: paired([], []),
         lambda: interval_of_sd([], None),
     ):
         with pytest.raises(ValueError, match="a sample needs one value or more"):

@@ -8,6 +8,7 @@ from running import called
 from missions.baselines import open_run
 from missions.engine.faults import Fault, inject, read_fault
 from missions.engine.mission import MissionError, find_mission
+from missions.experiments.campaign import check_campaign, from_data
 from missions.views.breakpoints import Breakpoint
 
 FAULTS = {
@@ -98,6 +99,25 @@ def test_recorded_faults_are_replayed(capsys, monkeypatch, tmp_path, suffix):
     begun = [action["name"] for action in result["actions"]]
     assert begun == ["search_pipeline", "recharge"]
     assert [line.split()[3] for line in out.splitlines() if line.endswith("is requested")] == begun
+
+
+def test_faults_of_a_campaign_are_a_column():
+    sweep = {"faults": ["", "fail c_thruster_2@3; measure battery_level=0.1@5"]}
+    data = {"name": "f", "missions": ["suave_extended"], "runs": 1, "sweep": sweep}
+    campaign = from_data({**data, "settings": {"duration": 8}}, "f.toml")
+    check_campaign(campaign)
+    bare, faulty = campaign.planned()
+    assert faulty.command.endswith("--fail c_thruster_2@3 --measure battery_level=0.1@5")
+    begun = []
+    for planned in (bare, faulty):
+        run = planned.open()
+        run.run()
+        begun.append([action.action for action in run.actions])
+    assert begun == [["search_pipeline"], ["search_pipeline", "recharge"]]
+    with pytest.raises(MissionError, match="unknown fault 'break boom@3'"):
+        check_campaign(
+            from_data({**data, "settings": {"faults": "break boom@3"}, "sweep": {}}, "f")
+        )
 
 
 def test_run_ends_at_a_breakpoint(capsys, monkeypatch):

@@ -15,7 +15,7 @@ from rosa_pddl.validate import flaw
 
 def order_of(goal):
     domain, steps, state = house(goal)
-    return causal_order(domain, steps, state, domain.up_problem.goals)
+    return causal_order(domain, steps, state, domain.goal)
 
 
 def respects(order, places):

@@ -21,6 +21,7 @@ from rosa_bt import (
     feasible_then_act,
 )
 from rosa_bt.decorators import UntilSuccess
+from rosa_bt.requests import requests_of
 
 STEPS = ["running", "running", "success", "failure", "raise", "nonsense"]
 RAISING = ["nowhere", "nowhere", "nowhere", "initialise", "terminate", "tick", "save"]
@@ -96,6 +97,24 @@ class Acting(Unruly, RosaAction):
         self.script, self.raising = script, raising
 
 
+class Braking(Acting):
+    """Takes some calls to halt."""
+
+    halts = halted = 0
+
+    def initialise(self):
+        halting = [request.owner.action for request in requests_of(self.kb).halting]
+        assert self.action not in halting, "it has begun before the other one has halted"
+        self.halted = 0
+        super().initialise()
+
+    def halting(self):
+        self.halted += 1
+        if self.raising == "halting":
+            raise RuntimeError("in halting")
+        return Status.RUNNING if self.halted < self.halts else Status.SUCCESS
+
+
 @dataclass(frozen=True)
 class Plan:
     """How to build a tree: drawn once, built with a knowledge base of its own."""
@@ -106,6 +125,7 @@ class Plan:
     raising: str = "nowhere"
     memory: bool = False
     children: tuple["Plan", ...] = ()
+    halts: int = 0
 
     def build(self, kb):
         children = [child.build(kb) for child in self.children]
@@ -113,6 +133,10 @@ class Plan:
             return Plain("plain", list(self.script), self.raising)
         if self.kind == "acting":
             return Acting(kb, self.action, list(self.script), self.raising)
+        if self.kind == "braking":
+            action = Braking(kb, self.action, list(self.script), self.raising)
+            action.halts = self.halts
+            return action
         if self.kind == "guarded":
             return feasible_then_act(Acting(kb, self.action, list(self.script), self.raising))
         if self.kind == "rash":
@@ -149,6 +173,14 @@ LEAVES = st.builds(
     st.lists(st.sampled_from(STEPS), min_size=1, max_size=4).map(tuple),
     st.sampled_from(RAISING),
 )
+SLOW_LEAVES = st.builds(
+    Plan,
+    st.sampled_from(["braking", "braking", "braking", "condition"]),
+    ACTIONS,
+    st.lists(st.sampled_from(STEPS), min_size=1, max_size=4).map(tuple),
+    st.sampled_from([*RAISING, "halting"]),
+    halts=st.integers(0, 4),
+)
 
 
 def branches(children):
@@ -163,6 +195,7 @@ def branches(children):
 
 
 TREES = st.recursive(LEAVES, branches, max_leaves=8)
+SLOW_TREES = st.recursive(SLOW_LEAVES, branches, max_leaves=8)
 HAPPENINGS = st.one_of(
     st.sampled_from([("light", 0.1), ("light", 0.9), ("interrupt", 0), ("nothing", 0)]),
     st.tuples(st.sampled_from(["prune", "replace", "insert"]), st.integers(0, 20)),
@@ -223,6 +256,29 @@ def test_no_request_is_open_or_released_twice_and_nothing_runs_whatever_happened
         *(node for subtree in taken_out for node in subtree.iterate()),
     ]
     assert all(node.status is not Status.RUNNING for node in left)
+
+
+@settings(max_examples=150)
+@given(SLOW_TREES, st.lists(HAPPENINGS, min_size=3, max_size=10), SLOW_TREES)
+def test_actions_that_halt_slowly_are_released_exactly_once(plan, happenings, spare):
+    kb = rover()
+    released = []
+    cancel = kb.cancel_action
+    kb.cancel_action = lambda action, *how: (released.append(action), cancel(action, *how))
+    runner = TreeRunner(plan.build(kb), clock=lambda: 0.0)
+    requests = requests_of(kb)
+    for what, number in happenings:
+        happen(what, number, kb, runner, spare)
+        runner.tick()
+        open_ = {action for action, requesters in requests.requesters.items() if requesters}
+        assert {request.action for request in kb.required_actions} == open_
+        for requesters in requests.requesters.values():
+            for request in requesters:
+                assert request.owner.status is Status.RUNNING or request.is_halting
+    runner.shutdown()
+    assert kb.required_actions == ()
+    assert requests.halting == {}
+    assert len(released) == len(kb.history.actions)
 
 
 def is_holding(node):

@@ -42,7 +42,10 @@ def within_every_node(leaf, kb):
         "Timeout": "msec",
         "PersistentSequence": "current_child_idx",
     }
-    needed = {**{tag: f'{port}="{0 if tag[0] == "P" else 3}"' for tag, port in ports.items()}, "Precondition": 'if="true"'}
+    needed = {
+        **{tag: f'{port}="{0 if tag[0] == "P" else 3}"' for tag, port in ports.items()},
+        "Precondition": 'if="true"',
+    }
     needed |= dict.fromkeys(("SkipUnlessUpdated", "WaitValueUpdate"), 'entry="x"')
     needed |= dict.fromkeys(("LoopInt", "LoopDouble", "LoopBool", "LoopString"), 'queue="1;1"')
     for tag, kind in [one for one in NODES.items() if one[1].CHILDREN[1]]:

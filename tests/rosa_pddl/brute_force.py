@@ -4,8 +4,7 @@ from collections import deque
 from heapq import heappop, heappush
 from itertools import product
 
-from rosa_pddl.resource_usage import usage_of
-from rosa_pddl.validate import ended, goal_holds, missing_at_start, started
+from rosa_pddl.validate import ended, goal_holds, missing_at_start, started, step_costs
 
 
 def ground_steps(domain):
@@ -42,7 +41,7 @@ def fewest_steps(domain, state, most=None):
 
 def least_cost(domain, state, costs=None):
     """Return what the cheapest plan costs; None if there is none."""
-    usage, steps = usage_of(domain), ground_steps(domain)
+    steps = ground_steps(domain)
     queue, done, pushed = [(0, 0, state)], set(), 0
     while queue:
         cost, _, state = heappop(queue)
@@ -53,12 +52,6 @@ def least_cost(domain, state, costs=None):
         done.add(state)
         for step, after in following(domain, steps, state):
             pushed += 1
-            heappush(
-                queue,
-                (
-                    cost + usage.value(usage.cost_of(step), usage.numbers(costs or {}, state)),
-                    pushed,
-                    after,
-                ),
-            )
+            (more,) = step_costs(domain, [step], state, costs)
+            heappush(queue, (cost + more, pushed, after))
     return None

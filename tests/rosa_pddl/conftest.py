@@ -10,9 +10,3 @@ def extended():
 @pytest.fixture(scope="session")
 def rooms(tmp_path_factory):
     return load_text(tmp_path_factory.mktemp("rooms"), ROOMS_DOMAIN, ROOMS_PROBLEM)
-
-
-@pytest.fixture
-def without_java(monkeypatch):
-    """What the search in this process leaves undone is not asked of ENHSP, which is slow to start."""
-    monkeypatch.setattr("rosa_pddl.engines.which", lambda _: None)

@@ -10,9 +10,8 @@ from pddl_world import FakeKb, Task, World, load_text
 from py_trees.common import Status
 
 from kb import KnowledgeBase, Model
-from rosa_pddl import Goals, Outcome, Planner, Problem, flaw, initial_state
+from rosa_pddl import Outcome, Planner, Problem, flaw, initial_state
 from rosa_pddl.belief import ExpectedEffects
-from rosa_pddl.goals import SoftGoals
 from rosa_pddl.validate import ended, missing_at_start, started
 
 # Mending serves driving; there is a dear detour on foot if the problem has a path.
@@ -42,7 +41,7 @@ PROBLEM = """(define (problem p) (:domain roads)
   (:init (drive_action drive) (walk_action walk) (mend_action mend) (at home) {path} (= (total-cost) 0))
   (:goal (at goal)) (:metric minimize (total-cost)))
 """
-PLANNER, COLD = Planner(), Planner(warm=False)
+PLANNER, COLD = Planner(), Planner()
 
 
 @pytest.fixture(scope="module")
@@ -241,7 +240,7 @@ def test_nothing_but_the_step_that_did_not_help_is_not_relied_upon(roads):
     planner = Planner(cached=0)
     for tool in ("glue", "jack"):
         result = planner.plan(Problem(effects.domain, state))
-        assert [attempt.way for attempt in result.attempts] == ["warm"]
+        assert [attempt.strategy for attempt in result.attempts] == ["search"]
         assert flaw(effects.domain, result.steps, state) is None
         (unmet,) = effects.ended(domain.step("mend", ("mend", "drive", tool)), state)
         assert (unmet.action, effects.domain) == ("drive", effects.domain)
@@ -253,53 +252,6 @@ def test_nothing_but_the_step_that_did_not_help_is_not_relied_upon(roads):
     kb.unfeasible = set()
     assert effects.update()
     assert (effects.domain, effects.unmet) == (domain, ())
-
-
-def test_engines_that_know_no_conditional_effects_get_no_such_effect_at_all(extended):
-    kb = FakeKb(extended.rosa_actions)
-    kb.unfeasible = {"inspect_pipeline"}
-    effects = ExpectedEffects(extended, kb)
-    step = extended.step("recharge", ("recharge", "search_pipeline", "inspect_pipeline", "bluerov"))
-    (unmet,) = effects.ended(step, initial_state(extended))
-    assert unmet.action == "inspect_pipeline"
-    told, before = (
-        str(
-            Problem(one, frozenset())
-            .build(overlapping=True)
-            .action(extended.inside["action", "recharge"])
-        )
-        for one in (effects.domain, extended)
-    )
-    assert "action_feasible(a1) := true" in told
-    assert "action_feasible(a2) := true" not in told
-    assert "action_feasible(a2) := true" in before
-    state = initial_state(extended) | {"(action_feasible recharge)"}
-    planner = Planner("aries", 300.0, overlapping=True)
-    goal = (extended.expression("(pipeline_found pipeline)"),)
-    assert [step.schema for step in planner.plan(Problem(effects.domain, state, goal)).steps] == [
-        "recharge",
-        "search_pipeline",
-    ]
-
-
-def test_costs_and_soft_goals_are_as_before_where_something_is_in_doubt(roads):
-    domain = roads["jack", "(path home goal)"]
-    kb = FakeKb(domain.rosa_actions)
-    kb.unfeasible = {"drive"}
-    effects, goals = ExpectedEffects(domain, kb), Goals(domain)
-    goals.add("(used jack)", worth=2.5)
-    state = initial_state(domain) | {"(action_feasible mend)", "(action_feasible walk)"}
-    planner = Planner(cached=0)
-
-    def cost():
-        soft, hard = SoftGoals(effects.domain, goals.soft), [goal.expression for goal in goals.hard]
-        return planner.plan(Problem(soft.domain, state, (*hard, soft.goal))).cost
-
-    assert cost() == 3.0
-    effects.ended(domain.step("mend", ("mend", "drive", "jack")), state)
-    assert cost() == 22.0
-    goals.add("(used jack)", worth=1.5)
-    assert cost() == 21.5
 
 
 def cheapest(domain, state, doubted):
@@ -343,11 +295,8 @@ FACTS = (
 @given(
     tools=st.sets(st.sampled_from(["glue", "jack"])),
     facts=st.sets(st.sampled_from(FACTS)),
-    warm=st.booleans(),
 )
-def test_plans_without_what_is_in_doubt_are_the_cheapest_that_do_without_it(
-    roads, tools, facts, warm
-):
+def test_plans_without_what_is_in_doubt_are_the_cheapest_that_do_without_it(roads, tools, facts):
     domain = roads["glue jack", ""]
     doubted = [domain.step("mend", ("mend", "drive", tool)) for tool in sorted(tools)]
     state = initial_state(domain) | facts
@@ -356,6 +305,6 @@ def test_plans_without_what_is_in_doubt_are_the_cheapest_that_do_without_it(
     effects = ExpectedEffects(domain, kb)
     for step in doubted:
         effects.ended(step, state)
-    result = (PLANNER if warm else COLD).plan(Problem(effects.domain, state))
+    result = PLANNER.plan(Problem(effects.domain, state))
     assert result.cost == cheapest(domain, state, doubted)
     assert result.outcome in (Outcome.SOLVED_OPTIMALLY, Outcome.UNSOLVABLE_PROVEN)

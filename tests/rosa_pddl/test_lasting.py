@@ -312,7 +312,7 @@ def test_certified_plan_for_what_is_forecast_to_become_unfeasible_is_used_at_onc
     certified = certificate(
         domain,
         lambda out: Problem(domain, state.difference(map(domain.feasible_atom, out))),
-        Planner("label-setting"),
+        Planner(),
     )
 
     def steps(until):
@@ -340,7 +340,7 @@ def test_same_events_give_the_same_times_to_plan_with(sailing):
     for then, number, forecasts in known:
         for event in events[last:number]:
             now = event.time
-            kb.tell(event)
+            kb.replay(event)
         now, last = then, number
         assert lasting.forecasts() == forecasts
     assert any(

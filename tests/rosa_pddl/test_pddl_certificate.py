@@ -23,7 +23,7 @@ from rosa_pddl import (
     initial_state,
     parse_domain,
 )
-from rosa_pddl.problem import without_feasibility
+from rosa_pddl.domain import without_feasibility
 from rosa_pddl.validate import flaw
 
 
@@ -40,7 +40,7 @@ def supposing_of(domain):
 @pytest.mark.parametrize("which", ["suave_extended", 5, 6])
 def test_each_entry_is_what_planning_from_there_says_and_its_plan_works(which):
     domain = load_mission(which) if isinstance(which, str) else Ground(which).domain
-    supposing, cold = supposing_of(domain), Planner(warm=False, cached=0)
+    supposing, cold = supposing_of(domain), Planner(cached=0)
     found = certificate(domain, supposing, Planner())
     actions = domain.rosa_actions
     assert list(found.entries) == list(
@@ -62,7 +62,7 @@ def agv_and_other_plannings(every):
     question = ask(mission=find_mission("agv"))
     found, cold = (
         certified(question, 300.0, 2),
-        Planner("label-setting", 300.0, warm=False, cached=0),
+        Planner(timeout_s=300.0, cached=0),
     )
     return found, {out: cold.plan(question.supposing(out)) for out in list(found.entries)[::every]}
 
@@ -193,7 +193,7 @@ def test_where_a_limit_is_not_known_no_certified_plan_is_taken_and_it_is_told(tm
         tmp_path, TANK, f"(define (problem p) (:domain tank) (:init (= (used) 0)) {goal})"
     )
     made = Certificate({(): PlanningResult(Outcome.SOLVED, (tank.step("go", ()),))})
-    world = World(tank, Planner("label-setting", certificate=made), delay_s=delay_s)
+    world = World(tank, Planner(certificate=made), delay_s=delay_s)
     while world.tick() is Status.RUNNING:
         time.sleep(0.001)  # without a delay the planner takes what it takes
     assert world.root.status is Status.FAILURE

@@ -52,7 +52,7 @@ def test_the_plan_is_executed_step_by_step_to_success(world):
         "search_pipeline(search_pipeline, pipeline, bluerov)",
         "inspect_pipeline(inspect_pipeline, pipeline, bluerov)",
     ]
-    assert (record.engine, record.steps[0].action) == ("fast-downward-opt", "search_pipeline")
+    assert (record.engine, record.steps[0].action) == ("search", "search_pipeline")
     assert not world.executor.current_steps
 
 

@@ -67,26 +67,6 @@ def test_a_running_step_that_the_new_plan_starts_with_runs_on(ways):
     ]
 
 
-def test_it_waits_for_news_only_while_steps_run_and_nothing_goes_by_the_clock(ways):
-    world = world_of(ways)
-    world.tick()
-    assert not world.executor.waits_for_news  # it plans
-    world.run(until="start")
-    assert world.executor.waits_for_news
-    world.executor.goals.add("(half)")
-    assert not world.executor.waits_for_news
-    world.executor.goals.drop("(half)")
-    world.tick()
-    world.tick()
-    world.events["left"] = Status.FAILURE
-    while world.executor.current_steps:
-        world.tick()
-    assert world.executor.status is Status.RUNNING
-    assert not world.executor.waits_for_news  # the step that failed is begun again after a pause
-    assert world.run() is Status.SUCCESS
-    assert not world.executor.waits_for_news
-
-
 def test_a_long_mission_keeps_the_last_plannings_with_their_numbers_and_does_not_grow(ways):
     world = World(ways, memory=20)
     world.kb.unfeasible = {"right"}

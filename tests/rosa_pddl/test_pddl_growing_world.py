@@ -8,7 +8,7 @@ from pddl_world import World
 from py_trees.common import Status
 
 from rosa_pddl import Planner, Problem, UnknownNameError, initial_state, parse_domain
-from rosa_pddl.problem import with_object, without_object
+from rosa_pddl.domain import with_object
 
 DOMAIN = """(define (domain rocks) (:types action place sample - object)
   (:predicates (action_feasible ?a - action) (drive_action ?a - action) (at ?p - place) (lies ?s - sample ?p - place)
@@ -130,18 +130,6 @@ def test_what_cannot_come_or_go_is_refused_by_name_and_nothing_changes(rocks):
     assert world.run() is Status.SUCCESS
 
 
-def test_engines_of_unified_planning_get_what_is_there_and_numbers_as_they_are_sensed():
-    domain = with_object(without_object(parse_domain(*TANKS), "b"), "c", "tank")
-    problem = Problem(
-        domain, frozenset({"(ready a)", "(ready c)"}), costs={"(level a)": 2.5, "(level c)": 1.0}
-    )
-    made = problem.build(overlapping=True)
-    assert sorted(one.name for one in made.all_objects) == ["a", "c"]
-    values = {str(one): str(value) for one, value in made.explicit_initial_values.items()}
-    assert values == {"ready(a)": "true", "ready(c)": "true", "level(a)": "5/2", "level(c)": "1"}
-    assert [str(goal) for goal in made.goals] == ["(full(a) and full(c))"]
-
-
 TANKS = (
     """(define (domain tanks) (:types tank) (:predicates (ready ?t - tank) (full ?t - tank))
   (:functions (level ?t - tank))
@@ -175,8 +163,8 @@ def test_worlds_of_objects_that_were_there_before_are_forgotten(rocks):
         assert (
             planner.plan(Problem(grown, initial_state(grown) | {"(action_feasible drive)"}))
             .attempts[0]
-            .way
-            == "warm"
+            .strategy
+            == "search"
         )
     gc.collect()
     assert sum(one() is not None for one in made) < 20

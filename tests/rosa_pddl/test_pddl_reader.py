@@ -19,7 +19,7 @@ from rosa_pddl import (
     parse_domain,
 )
 from rosa_pddl.exceptions import nearest
-from rosa_pddl.syntax import conditions
+from rosa_pddl.reader import conditions
 from rosa_pddl.validate import ended, goal_holds
 
 
@@ -29,7 +29,6 @@ def test_the_extended_mission_shares_names_between_objects_actions_and_types(ext
     assert extended.step("search_pipeline", ["search_pipeline", "pipeline", "bluerov"]) == Step(
         "search_pipeline", ("search_pipeline", "pipeline", "bluerov"), "search_pipeline"
     )
-    assert extended.atom("(pipeline_found pipeline)") in extended._atoms
 
 
 def test_the_base_mission_has_no_recharge():
@@ -145,9 +144,9 @@ MALFORMED = {
         "problem.pddl:3:",
         "'broken' are of other types than declared: (broken ?x - room)",
     ),
-    "object declared twice": (
-        in_rooms("kitchen hall", "kitchen kitchen"),
-        "problem.pddl@kitchen - room",
+    "object declared twice with another type": (
+        in_rooms("kitchen hall - room", "kitchen hall - room hall - robot"),
+        "problem.pddl@hall - robot",
         "declared before, in line 2",
     ),
     "no goal": (
@@ -220,11 +219,6 @@ def test_malformed_pddl_is_refused_with_place_and_expectation(case, tmp_path):
 
 
 UNSUPPORTED = {
-    "timed fact": (
-        in_rooms("(free robby)", "(at 5 (free robby))"),
-        "problem.pddl@(at 5",
-        "become true at a time",
-    ),
     "either": (
         in_rooms("robby - robot", "robby - (either robot room)"),
         "problem.pddl@(either",
@@ -336,7 +330,7 @@ LAMPS_PROBLEM = """(define (problem p) (:domain lamps) (:objects a b c d - room 
 
 def test_derived_predicates_hold_where_what_they_are_derived_from_does():
     domain = parse_domain(LAMPS, LAMPS_PROBLEM)
-    for engine in ("fast-downward-opt", "label-setting"):
+    for engine in ("fast-downward-opt", "kairos"):
         result = Planner(engine).plan(Problem(domain, initial_state(domain)))
         assert result.outcome is Outcome.SOLVED_OPTIMALLY, result.message
         steps = [str(step) for step in result.steps]
@@ -355,11 +349,6 @@ def test_derived_predicates_hold_where_what_they_are_derived_from_does():
             ":effect (lamp ?y)",
             ":effect (bright ?y)",
             "(bright ?y)', which is derived: it is neither stated nor",
-        ),
-        (
-            "(bright ?y - room) (lamp ?y)",
-            "(bright ?y - robot) (lamp b)",
-            "expected the types of the rule before",
         ),
         ("(bright ?x))", "(bright ?r))", "of other types than declared: (bright ?x - room)"),
         (
@@ -388,9 +377,9 @@ TUGS_PROBLEM = """(define (problem p) (:domain tugs) (:objects t - tug c - crane
 def test_variables_of_several_types_stand_for_objects_of_these_only():
     domain = parse_domain(TUGS, TUGS_PROBLEM)
     state = initial_state(domain)
-    result = Planner(warm=False).plan(Problem(domain, state))
+    result = Planner().plan(Problem(domain, state))
     assert [str(step) for step in result.steps] == ["move(c, a)", "end()"]
-    without = Planner(warm=False).plan(Problem(domain, state - {"(free c)"}))
+    without = Planner().plan(Problem(domain, state - {"(free c)"}))
     assert without.outcome is Outcome.UNSOLVABLE_PROVEN  # what is free is a lorry
     after = ended(domain, result.steps[0], state)
     assert after - state == {"(moved a)", "(seen t)", "(seen l)"}

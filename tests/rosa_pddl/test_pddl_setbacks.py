@@ -20,12 +20,11 @@ from rosa_pddl import (
     PlanningResult,
     Problem,
     ReplanningPolicy,
+    SensingError,
     UnknownNameError,
     initial_state,
     parse_domain,
 )
-from rosa_pddl.domain import Trouble
-from rosa_pddl.engines.processes import ProcessHandle
 
 WAYS = """(define (domain ways) (:requirements :typing :action-costs) (:types action place)
   (:predicates (action_feasible ?a - action) (swim_action ?a - action) (at ?p - place) (there) (key) (damp) (noise)
@@ -100,7 +99,7 @@ def test_what_cannot_matter_is_no_news_for_an_eager_executor(ways):
 # ------------------------------------------------------------------ trouble is no proof
 
 
-class Troubled:
+class PlanningFailedd:
     """Has so many troubles before it plans."""
 
     timeout_s = 120.0
@@ -120,7 +119,7 @@ class Troubled:
 
 @pytest.mark.parametrize("outcome", [one for one in Outcome if one.is_passing])
 def test_one_trouble_of_a_planner_is_not_remembered_as_no_plan(ways, outcome):
-    world = World(ways, Troubled(1, outcome), delay_s=None)
+    world = World(ways, PlanningFailedd(1, outcome), delay_s=None)
     world.facts = {"(damp)": False}
     assert world.run() is Status.SUCCESS
     assert [str(record.outcome) for record in world.executor.plans] == [
@@ -132,7 +131,7 @@ def test_one_trouble_of_a_planner_is_not_remembered_as_no_plan(ways, outcome):
 
 def eager(ways):
     """Return a world under way, its planner, and what changes the one and brings the other trouble."""
-    planner = Troubled(0)
+    planner = PlanningFailedd(0)
     world = World(ways, planner, delay_s=None, policy=ReplanningPolicy(eager=True))
     world.facts, world.ticks, number = {"(damp)": False}, {"near": 10_000}, count()
     assert world.tick() is Status.RUNNING
@@ -161,13 +160,13 @@ def test_once_nothing_is_waited_for_any_more_what_is_not_needed_is_asked_at_once
     world, _, change = eager(ways)
     ticks(world, 30.0, change)  # the next pause ends at 51 s
     asked = len(world.executor.plans)
-    world.executor.wait_no_more()
+    world.executor.reset_backoff()
     ticks(world, 0.2, change)
     assert len(world.executor.plans) == asked + 1
 
 
 def test_with_trouble_the_safe_step_is_begun_at_once_and_the_plan_made_anew_beside_it(ways):
-    world = World(ways, Troubled(2, safe=ways.step("surface", [])))
+    world = World(ways, PlanningFailedd(2, safe=ways.step("surface", [])))
     world.facts = {"(damp)": False}
     world.ticks = {"surface": 100}
     assert world.run() is Status.SUCCESS
@@ -176,7 +175,7 @@ def test_with_trouble_the_safe_step_is_begun_at_once_and_the_plan_made_anew_besi
 
 
 def test_trouble_that_lasts_is_asked_ever_less_often_told_and_never_for_good(ways):
-    world = World(ways, Troubled(6))
+    world = World(ways, PlanningFailedd(6))
     world.facts = {"(damp)": False}
     statuses = ticks(world, 40.0)
     assert statuses.count(Status.SUCCESS) > 1
@@ -190,7 +189,7 @@ def test_trouble_that_lasts_is_asked_ever_less_often_told_and_never_for_good(way
 
 
 def test_the_failure_says_how_often_it_was_tried_and_when_it_is_again(ways):
-    world = World(ways, Troubled(100))
+    world = World(ways, PlanningFailedd(100))
     assert world.run() is Status.FAILURE
     assert (
         world.executor.feedback_message
@@ -198,26 +197,6 @@ def test_the_failure_says_how_often_it_was_tried_and_when_it_is_again(ways):
     )
     assert world.tick() is Status.FAILURE
     assert len(world.executor.plans) == 4
-
-
-def test_after_a_grounding_that_was_late_the_warm_way_comes_back(ways):
-    planner = Planner(cached=0, budgets_s={"warm": 1e-9})
-    problem = Problem(ways, initial_state(ways) - {"(damp)"})
-    tried = [[str(one) for one in planner.plan(problem).attempts] for _ in range(2)]
-    assert all(attempts[0].startswith("warm: out of time") for attempts in tried)
-    planner.budgets_s.clear()
-    assert ["warm"] in [[one.way for one in planner.plan(problem).attempts] for _ in range(9)]
-
-
-def test_a_grounding_that_could_not_grow_in_time_leaves_what_was_grounded(ways):
-    planner = Planner(cached=0)
-    problem = Problem(ways, initial_state(ways) - {"(damp)"})
-    planner.plan(problem)
-    known = planner.groundings.made(problem)
-    with pytest.raises(Trouble, match="was not grounded in"):
-        planner.groundings.ask(problem, ProcessHandle(), 1e-9, ["(damp)"])
-    assert known is not None
-    assert planner.groundings.made(problem) is known
 
 
 # ------------------------------------------------------------------ steps that fail
@@ -254,7 +233,7 @@ def test_a_step_that_failed_once_waits_a_moment_and_is_begun_again(ways):
     world.facts, world.events = {"(damp)": False, "(far)": 100.0}, {"near": Status.FAILURE}
     assert world.run() is Status.SUCCESS
     assert begun(world) == {"near": 2}
-    assert world.executor._setbacks.weights == {}
+    assert world.executor._backoff.weights == {}
 
 
 @settings(max_examples=15, deadline=None)
@@ -267,7 +246,7 @@ def test_a_step_counts_as_often_as_it_has_to_be_tried(tries):
         costs={"(far)": 3.5},
         weights={domain.step("near", []): tries},
     )
-    for planner in (Planner(cached=0), Planner(cached=0, moves=0), Planner(cached=0, warm=False)):
+    for planner in (Planner(cached=0), Planner(cached=0, moves=0), Planner(cached=0)):
         steps = [step.schema for step in planner.plan(problem).steps]
         assert steps == (["near"] if 0 < tries < 3.5 else ["far"])
 
@@ -327,13 +306,7 @@ def roads():
 
 def planned(roads, one, two, three, dear):
     costs = {"(one)": one, "(two)": two, "(three)": three, "(dear)": dear}
-    return Planner(cached=0, moves=0, warm=False).plan(Problem(roads, frozenset(), costs=costs))
-
-
-def test_costs_less_than_a_thousandth_apart_are_told_apart(roads):
-    result = planned(roads, 0.5001, 0.5001, 1.0004, 9.0)
-    assert result.outcome is Outcome.SOLVED_OPTIMALLY
-    assert [step.schema for step in result.steps] == ["one", "two"]
+    return Planner(cached=0, moves=0).plan(Problem(roads, frozenset(), costs=costs))
 
 
 AMOUNTS = st.one_of(
@@ -341,20 +314,6 @@ AMOUNTS = st.one_of(
     st.integers(0, 10**12).map(float),
     st.floats(0.0, 1e9),
 )
-
-
-@settings(max_examples=25, deadline=None)
-@given(amounts=st.tuples(AMOUNTS, AMOUNTS, AMOUNTS, AMOUNTS))
-def test_what_is_called_optimal_is_and_otherwise_the_answer_says_within_what(roads, amounts):
-    one, two, three, dear = amounts
-    result, least = planned(roads, *amounts), min(one + two, three, dear)
-    if result.outcome is Outcome.SOLVED_OPTIMALLY:
-        assert result.cost == pytest.approx(least, rel=1e-15)
-    else:
-        assert result.outcome is Outcome.SOLVED
-        _, gap, *rest = result.message.split()
-        assert " ".join(rest) == "of the least cost, as costs too far apart were rounded"
-        assert result.cost - least <= float(gap) * 1.01 <= 2 * max(amounts) / 1_000_000
 
 
 # ------------------------------------------------------------------ what is sensed and handed in
@@ -385,9 +344,8 @@ def test_what_is_no_finite_number_is_refused_by_its_name(ways, bad):
         ReplanningPolicy(hysteresis=bad)
     with pytest.raises(GoalError, match=r"\(safe\) is worth (nan|inf)"):
         World(ways).executor.goals.add("(safe)", worth=bad)
-    result = Planner().plan(Problem(ways, initial_state(ways) - {"(damp)"}, costs={"(near)": bad}))
-    assert result.outcome is Outcome.UNSUPPORTED
-    assert "(near) is" in result.message
+    with pytest.raises(SensingError, match=r"\(near\) is"):
+        Problem(ways, initial_state(ways) - {"(damp)"}, costs={"(near)": bad})
 
 
 @pytest.mark.parametrize("amount", ["nan", "inf", "1e400"])

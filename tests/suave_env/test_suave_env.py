@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from suave_stand_ins import Script, make_env, values_of
 
-from suave_env import SuaveEnvError
+from suave_env import Settings, SuaveEnv, SuaveEnvError
 
 QUIET = {"thruster_events": "", "battery": False}
 
@@ -334,3 +334,16 @@ def test_positions_stay_finite_when_every_thruster_is_stuck():
     here = env.observe()
     assert all(math.isfinite(value) for value in (here.x, here.y, here.z, here.speed))
     assert here.thrusters_failed == (1, 2, 3, 4, 5, 6)
+
+
+def test_late_boot_adds_height_and_bias_in_its_share_of_runs():
+    def start_z(share, seed):
+        settings = Settings().replace(late_boot_share=share)
+        return SuaveEnv(settings, np.random.default_rng(seed)).observe().z
+
+    usual = [start_z(0.0, seed) for seed in range(30)]
+    assert [start_z(1.0, seed) - z for seed, z in enumerate(usual)] == pytest.approx(
+        [0.92] * 30, abs=0.01
+    )
+    late = sum(start_z(0.3, seed) > z for seed, z in enumerate(usual))
+    assert 3 <= late <= 15
