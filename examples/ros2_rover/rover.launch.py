@@ -1,4 +1,4 @@
-"""The rover's lifecycle nodes and its rosbridge, as ROS 2 starts them: `ros2 launch ./rover.launch.py`."""
+"""The rover's lifecycle nodes and its rosbridge: `ros2 launch ./rover.launch.py`."""
 
 from launch_ros.actions import LifecycleNode, Node
 
@@ -6,7 +6,7 @@ from launch import LaunchDescription
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return what is started; every lifecycle node stays unconfigured until the knowledge base needs it."""
+    """Return what is started; lifecycle nodes stay unconfigured until they are needed."""
     nodes = [
         LifecycleNode(
             package="rover_camera",

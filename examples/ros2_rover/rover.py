@@ -44,7 +44,7 @@ def pose(x: float, y: float) -> dict[str, object]:
 
 
 def tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
-    """Return the tree: patrol from place to place as long as that can be done, or else return to the dock."""
+    """Return the tree: patrol from place to place while that is feasible, or else dock."""
     places = cycle([pose(4.0, 0.0), pose(4.0, 3.0), pose(0.0, 3.0)])
     server = "/navigate_to_pose"
     patrol = RosAction(

@@ -1,4 +1,4 @@
-"""`rosa bridge` and `rosa mcp`: a knowledge base by the wall clock, with a robot in ROS 2, or asked by an assistant."""
+"""`rosa bridge` and `rosa mcp`: a knowledge base with a robot in ROS 2 or an assistant."""
 
 import logging
 import math
@@ -66,7 +66,8 @@ def bridge(
     make_tree = tree_builder(tree) if tree else None if mission is None else mission.tree
     if make_tree is None and not answer:
         raise MissionError(
-            f"what decides for {model.name}? give --tree module:NAME, or --answer to leave it to others"
+            f"what decides for {model.name}? "
+            "give --tree module:NAME, or --answer to leave it to others"
         )
     console, percepts = open_console(), Percepts()
     logging.getLogger("missions.wires.node").setLevel(logging.WARNING)  # what is refused
@@ -126,7 +127,7 @@ def _connect(
     store: Path | None,
     percepts: Percepts | None = None,
 ) -> tuple[KnowledgeBase, Bridge]:
-    """Return a knowledge base that is connected to its robot, and the bridge; the stack closes all."""
+    """Return a knowledge base connected to its robot, and the bridge; the stack closes all."""
     stack.callback(node.close)
     clock = SimulatedClock(node) if settings.use_sim_time else None
     kb = KnowledgeBase(model, store=store, clock=clock or time.time)

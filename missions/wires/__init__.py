@@ -1,1 +1,1 @@
-"""What connects a mission, or any robot's own program, to other programs: one file for each wire."""
+"""Connects a mission, or any robot's own program, to other programs: one file a wire."""

@@ -39,17 +39,21 @@ class RosAction(RosaAction):
         RosAction("go home", kb, "go_home", "/navigate_to_pose", "nav2_msgs/action/NavigateToPose",
                   {"pose": {"header": {"frame_id": "map"}, "pose": {"orientation": {"w": 1.0}}}})
 
-    It succeeds when the goal has succeeded. It fails, with the reason, when the goal is rejected or aborted, when
-    somebody else cancels it, when nobody serves the action, and when the server dies. When it is interrupted, the goal
-    is cancelled; the next action that needs one of the same components starts when the server has confirmed that.
+    It succeeds when the goal has succeeded. It fails, with the reason, when the goal is rejected or
+    aborted, when somebody else cancels it, when nobody serves the action, and when the server dies.
+    When it is interrupted, the goal is cancelled; the next action that needs one of the same
+    components starts when the server has confirmed that.
 
     Args:
         server: name of the action server, e.g. "/navigate_to_pose".
         type: of the action, e.g. "nav2_msgs/action/NavigateToPose".
-        goal: the fields of the goal as in ROS 2's JSON; or a function that is called for them at each start.
+        goal: the fields of the goal as in ROS 2's JSON; or a function that is called for them at
+            each start.
         accept_s: how long the server may take to accept the goal [s].
-        silence_s: how long it may give no sign of life [s]; infinity for a server that answers nothing while it works.
-        show: returns from the feedback the text to show; by default all numbers and texts of its upper level.
+        silence_s: how long it may give no sign of life [s]; infinity for a server that answers
+            nothing while it works.
+        show: returns from the feedback the text to show; by default all numbers and texts of its
+            upper level.
         **options: those of `RosaAction`, e.g. `wait`, and `halting_timeout` for the cancel.
 
     Attributes:

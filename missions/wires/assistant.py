@@ -1,6 +1,7 @@
 """Questions to a robot's knowledge base as tools for assistants, by the Model Context Protocol.
 
-The tools that request and cancel actions exist only if that is allowed; an unfeasible action is refused, as always.
+The tools that request and cancel actions exist only if that is allowed; an unfeasible action is
+refused, as always.
 """
 
 import logging
@@ -24,7 +25,8 @@ _MOST: Final = 100
 _PLANNING_S: Final = 10.0
 _log = logging.getLogger(__name__)
 INSTRUCTIONS: Final = (
-    "A robot's knowledge base: which actions can be done now, why not, what would help, and how it is configured. "
+    "A robot's knowledge base: which actions can be done now, why not, what would help, and how "
+    "it is configured. "
     "Ask what_can_be_done first; names are as it gives them."
 )
 
@@ -41,7 +43,7 @@ class Assistant:
         self._mission = mission
 
     def what_can_be_done(self) -> dict[str, Any]:
-        """Say of every action whether it can be done now, with the reason, and which are being done."""
+        """Say of every action whether it can be done now, and why, and which are being done."""
         kb = self._kb
         actions = {
             name: {"feasible": kb.is_feasible(name), "why": kb.why(view)}
@@ -53,7 +55,7 @@ class Assistant:
         }
 
     def what_is_known(self) -> dict[str, Any]:
-        """Say what was measured, and the status of every function, design, component and configuration."""
+        """Say what was measured, and the status of every element of the model."""
         kb = self._kb
         measured = {
             name: {"value": view.value, "time": view.time, "unit": view.unit}
@@ -76,17 +78,17 @@ class Assistant:
         }
 
     def why(self, element: str) -> str:
-        """Say why an action, function, design, component, configuration or attribute is so, and what would help."""
+        """Say why an element of the model is as it is, and what would help."""
         return str(self._kb.explain(element))
 
     def why_chosen(self, element: str) -> str:
-        """Say why a function has its design, or a component its configuration, and not another one."""
+        """Say why a function has its design, or a component its configuration."""
         return str(self._kb.explain_choice(element))
 
     def what_if(
         self, measured: dict[str, float] | None = None, failed: list[str] | None = None
     ) -> dict[str, Any]:
-        """Say what could be done if attributes had other values and components had failed; nothing is changed."""
+        """Say what could be done with other values and failed components; changes nothing."""
         situation = self._kb.situation(measured or {}, failed=failed or ())
         unfeasible = {
             name: situation.why(view)
@@ -103,7 +105,7 @@ class Assistant:
         return {"designs": dict(choice.designs), "configurations": dict(choice.configurations)}
 
     def plan_for(self, goal: str = "") -> dict[str, Any]:
-        """Plan, with what is feasible now, for the mission's goal or another in PDDL, e.g. "(inspected pipeline)"."""
+        """Plan now for the mission's goal or another in PDDL, e.g. "(inspected pipeline)"."""
         from missions.engine.question import answer, ask
 
         if self._mission is None:
@@ -118,7 +120,7 @@ class Assistant:
         }
 
     def latest_decisions(self, most: int = 20) -> list[dict[str, Any]]:
-        """Tell what was decided last, with the cause: requests, and reconfiguration plans with their reasons."""
+        """Tell the last decisions with their causes: requests, and plans with their reasons."""
         kinds = (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)
         events = [event for event in self._kb.log if event.kind in kinds]
         return [_decision(event) for event in events[-max(1, min(most, _MOST)) :]]
@@ -152,7 +154,7 @@ def _selectable(views: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServer":
-    """Return a server that offers an assistant's methods as tools; those that act only with `allow_actions`.
+    """Return a server with an assistant's methods as tools; to act needs `allow_actions`.
 
     Raises:
         MissionError: the extra `mcp` is missing.
@@ -167,7 +169,7 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
     }
 
     class Server(MCPServer):
-        async def call_tool(self, name: str, arguments: dict[str, Any], context: Any = None) -> Any:  # noqa: ANN401  # as its base has it
+        async def call_tool(self, name: str, arguments: dict[str, Any], context: Any = None) -> Any:  # noqa: ANN401  # as in its base
             if name not in tools:
                 raise ToolError(f"there is no tool {name!r:.80}; there are {', '.join(tools)}")
             accepted = signature(tools[name]).parameters

@@ -1,4 +1,4 @@
-"""Connects a robot in ROS 2 with its knowledge base: topics measure attributes, nodes are components.
+"""Connects a robot in ROS 2: topics measure attributes, nodes are components.
 
 settings = BridgeSettings(attributes={"battery_level": "/battery_state.percentage"})
 bridge = Bridge(kb, Rosbridge("ws://127.0.0.1:9090"), settings)
@@ -65,9 +65,10 @@ class SimulatedClock:
 class Bridge:
     """Connects a knowledge base and a robot, in both directions, until `close`.
 
-    Measurements are recorded by the thread of the connection. Events are published on `/rosa_kb/events`, decisions
-    with their reasons on `/rosa/log`, and ROSA's services are served. While there is no connection, the attributes
-    that are measured over it are stale. Measurements age by the stamps in their headers.
+    Measurements are recorded by the thread of the connection. Events are published on
+    `/rosa_kb/events`, decisions with their reasons on `/rosa/log`, and ROSA's services are served.
+    While there is no connection, the attributes that are measured over it are stale. Measurements
+    age by the stamps in their headers.
 
     Args:
         percepts: get the diagnostics too, for the conditions of a mission.
@@ -79,7 +80,8 @@ class Bridge:
         refused: how many were not used, by what was wrong.
 
     Raises:
-        MissionError, kb.UnknownName: the settings name a place that is malformed, or an unknown element.
+        MissionError, kb.UnknownName: the settings name a place that is malformed, or an unknown
+            element.
     """
 
     def __init__(
@@ -115,7 +117,7 @@ class Bridge:
 
     @property
     def is_connected(self) -> bool:
-        """Whether the robot is connected and its clock runs; while not, do not update the manager."""
+        """Whether robot and clock are there; while not, do not update the manager."""
         return self._node.is_connected and (self._clock is None or self._clock.has_begun)
 
     @property

@@ -57,10 +57,10 @@ class _Watch:
 class RosComponents:
     """The nodes of a robot.
 
-    Lifecycle nodes are switched by change_state. One that is killed says nothing, and one that is restarted is
-    unconfigured and says nothing either; so each is asked for its state, one call at a time, and silence counts. Plain
-    nodes, components with a package and an executable, are started and stopped as processes by `ros2 run`. Parameters
-    of both are set by set_parameters_atomically.
+    Lifecycle nodes are switched by change_state. One that is killed says nothing, and one that is
+    restarted is unconfigured and says nothing either; so each is asked for its state, one call at a
+    time, and silence counts. Plain nodes, components with a package and an executable, are started
+    and stopped as processes by `ros2 run`. Parameters of both are set by set_parameters_atomically.
 
     Args:
         settings: name the nodes by component, and say how long things may take.
@@ -136,7 +136,7 @@ class RosComponents:
     # ---------------------------------------------------------------- watching
 
     def forget(self) -> None:
-        """Forget the states of all nodes, as the connection is lost; those that are gone have failed."""
+        """Forget all states, as the connection is lost; nodes that are gone have failed."""
         for component, watch in self._watches.items():
             if watch.is_published and self._publishers(watch) == 0:
                 self._lose(component, watch, f"{watch.place} is gone")
@@ -147,7 +147,7 @@ class RosComponents:
             watch.is_published = False
 
     def observe(self, kb: KnowledgeBase) -> None:
-        """Take in the answers of the nodes, and ask those whose turn it is; the manager calls this."""
+        """Take in the nodes' answers, and ask those whose turn it is; the manager calls this."""
         self._node.update()
         self._on_observe()
         self._processes.observe(kb)
@@ -241,7 +241,7 @@ class RosComponents:
         watch.alive_s = asked_s
 
     def _switch(self, component: str, goal: int) -> Calls:
-        """Send the transitions that lead to a state; one that the state does not allow may end a node."""
+        """Send the transitions to a state; one that is not allowed may end a node."""
         watch = self._watches[component]
         yield from self._look(watch)
         if watch.state == _FINALIZED or (watch.state or 0) >= _PASSING:

@@ -4,10 +4,11 @@
     ...                                     # ticks as before
     publisher.close()
 
-Groot2 asks, over ZeroMQ on TCP port 1667, for the tree as XML, the statuses of its nodes and its blackboards. The
-protocol has no token, so it is served on this machine only; from elsewhere, use `ssh -L 1667:127.0.0.1:1667 -L
-1668:127.0.0.1:1668 ROBOT`. Requests that would change how the tree runs (breakpoints, replaced nodes) are refused. So
-are recordings of transitions; use `rosa run --record` or `--report` instead.
+Groot2 asks, over ZeroMQ on TCP port 1667, for the tree as XML, the statuses of its nodes and its
+blackboards. The protocol has no token, so it is served on this machine only; from elsewhere, use
+`ssh -L 1667:127.0.0.1:1667 -L 1668:127.0.0.1:1668 ROBOT`. Requests that would change how the tree
+runs (breakpoints, replaced nodes) are refused. So are recordings of transitions; use `rosa run
+--record` or `--report` instead.
 """
 
 import struct
@@ -35,7 +36,9 @@ _IDLE, _SKIPPED, _WAS = 0, 4, 10
 """The code of an idle node is 10 + the status that it had before, or 0 if it never had one."""
 _CODES: Final = {Status.INVALID: _IDLE, Status.RUNNING: 1, Status.SUCCESS: 2, Status.FAILURE: 3}
 _LOOK_MS: Final = 100
-_NO_RECORD: Final = "transitions are not recorded here: `rosa run --record FILE.mcap` and `--report FILE.html` do it"
+_NO_RECORD: Final = (
+    "transitions are not recorded here: `rosa run --record FILE.mcap` and `--report` do it"
+)
 _NO_HOOKS: Final = (
     "breakpoints and replaced nodes are not accepted: a robot does what its own program says"
 )
@@ -59,10 +62,12 @@ class _Present(NamedTuple):
 class Groot2Publisher(VisitorBase):
     """Publishes the statuses of a tree after each tick, and the tree again when it changes.
 
-    A tick only writes down the statuses; a thread of its own answers clients, so they do not slow the tick.
+    A tick only writes down the statuses; a thread of its own answers clients, so they do not slow
+    the tick.
 
     Args:
-        port: TCP port on 127.0.0.1; the next port is used too, as clients listen there for breakpoints.
+        port: TCP port on 127.0.0.1; the next port is used too, as clients listen there for
+            breakpoints.
 
     Raises:
         MissionError: a port is taken, or the extra `groot2` is missing.
@@ -176,7 +181,7 @@ class Groot2Publisher(VisitorBase):
 
 
 def _values(subtree: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return the entries of a blackboard, other values than numbers and texts as text; a tick may write meanwhile."""
+    """Return a blackboard's entries, others than numbers as text; a tick may write meanwhile."""
     board = Blackboard.storage if subtree is None else subtree
     return {
         key.lstrip("/"): one if _is_plain(one) else repr(one) for key, one in list(board.items())

@@ -1,4 +1,4 @@
-"""Recordings: writes a run as MCAP while it happens, and reads ours and those of ROS 2 (rosbag2, MCAP or sqlite3).
+"""Recordings: writes a run as MCAP while it happens, and reads ours and any rosbag2.
 
 All messages are ROS 2's own; docs/recordings.md lists the topics.
 """
@@ -37,7 +37,7 @@ DIAGNOSTICS, TREE, TREE_LOG, LOG = (
     "/rosa/log",
 )
 EVENTS, RUN, ROWS = "/rosa/events", "/rosa/run", "/rosa/rows"
-"""Our own topics: the events of the log, how the mission was run, and rows that a report shows besides the events."""
+"""Our own topics: the log's events, how the mission was run, a report's other rows."""
 VERSION: Final = 1
 """The version of our recordings."""
 _COMMANDS: Final = {
@@ -50,7 +50,7 @@ _LARGEST_RECORD: Final = 2**30
 """The largest record of an MCAP file [bytes]."""
 CHUNK_BYTES: Final = 2**16
 WAITING: Final = 100_000
-"""How many messages may wait to be written; when more do, the recording ends and the robot goes on."""
+"""How many messages may wait to be written; with more, the recording ends."""
 PATIENCE_S: Final = 10.0
 """How long one message may take to be written when a file is closed [s]."""
 _LOGGED: Final = (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)
@@ -60,7 +60,7 @@ _log = logging.getLogger(__name__)
 
 
 class Raw(NamedTuple):
-    """A message as it is in a recording: topic, type, definition of the type, time [ns] and CDR bytes."""
+    """A recorded message: topic, type, definition of the type, time [ns] and CDR bytes."""
 
     topic: str
     kind: str
@@ -70,7 +70,7 @@ class Raw(NamedTuple):
 
 
 class _Records:
-    """Writes the records of an MCAP file: messages, and each type and topic when it first occurs."""
+    """Writes the records of an MCAP file: messages, and each type and topic once."""
 
     def __init__(self, file: BinaryIO, *, use_chunking: bool) -> None:
         from mcap.writer import Writer
@@ -91,7 +91,7 @@ class _Records:
 
 
 def write_in_chunks(path: Path, recorded: Iterable[Raw]) -> None:
-    """Write messages to an MCAP file in compressed chunks, with the index that tools need to seek."""
+    """Write messages to an MCAP file in compressed chunks, with an index."""
     with path.open("wb") as file:
         records = _Records(file, use_chunking=True)
         for one in recorded:
@@ -102,8 +102,9 @@ def write_in_chunks(path: Path, recorded: Iterable[Raw]) -> None:
 class McapFile(AbstractContextManager["McapFile"]):
     """An MCAP file that grows with each message; if it is cut off, it can be read up to there.
 
-    `close` rewrites it in chunks with an index. A thread of its own encodes and writes, so a disk that is slow or hangs
-    holds up nobody; nothing more is recorded once 100,000 messages wait for it.
+    `close` rewrites it in chunks with an index. A thread of its own encodes and writes, so a disk
+    that is slow or hangs holds up nobody; nothing more is recorded once 100,000 messages wait for
+    it.
 
     Args:
         path: of the file; an existing file is replaced.
@@ -143,7 +144,7 @@ class McapFile(AbstractContextManager["McapFile"]):
         make: Callable[..., dict[str, Any]],
         *arguments: Any,  # noqa: ANN401  # the arguments of make
     ) -> None:
-        """Queue a message at a time [s]: the thread writes what `make(*arguments)` returns, as type `kind`."""
+        """Queue a message at a time [s]: the thread writes what `make(*arguments)` returns."""
         if self.waiting < self.most:
             self._queue.put(partial(self._write, topic, kind, time_s, partial(make, *arguments)))
         elif self._error is None:
@@ -277,8 +278,8 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
             tree.add_post_tick_handler(self._tick)
             self._open.callback(tree.post_tick_handlers.remove, self._tick)
 
-    def message(self, message: Any) -> None:  # noqa: ANN401  # whatever a DiagnosticArray comes as
-        """Record diagnostics: a message of rclpy, its dict, its CDR bytes, or {"time": [s], "status": [...]}."""
+    def message(self, message: Any) -> None:  # noqa: ANN401  # in any form
+        """Record diagnostics: of rclpy, as a dict, CDR bytes, or with a "time" [s]."""
         time_s = self._kb.now
         if isinstance(message, Mapping) and "time" in message:
             time_s = float(message["time"])
@@ -337,10 +338,11 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
 
 @dataclass(slots=True)
 class Bag:
-    """The contents of a recording; `run`, `events` and `rows` are empty for a recording that is not ours.
+    """The contents of a recording; one that is not ours has no `run`, `events` and `rows`.
 
     Attributes:
-        messages: of diagnostics, in order of time; times [s], from the start of a recording that is not ours.
+        messages: of diagnostics, in order of time; times [s], from the start of a recording that is
+            not ours.
         run: how the robot was run.
         events: of the knowledge base.
         rows: what a report shows besides events: (number of the event before it, row).
@@ -358,7 +360,7 @@ class Bag:
     problems: Counter[str] = field(default_factory=Counter)
 
     def header(self) -> Message:
-        """Return the first message of a replay: how the robot was run, and what came of its commands."""
+        """Return a replay's first message: how the robot was run, and its commands."""
         return {
             "time": 0.0,
             "status": [],
@@ -366,7 +368,7 @@ class Bag:
         }
 
     def _commands(self) -> list[tuple[str, str, float, bool]]:
-        """Return the commands in order: command, component, duration [s], and whether it succeeded."""
+        """Return the commands: command, component, duration [s], and whether it succeeded."""
         given = [one for one in self.events if one.verb == "record_attempt"]
         ended = {one.arguments[0]: one for one in self.events if one.verb == "finish_attempt"}
         return [
@@ -382,8 +384,8 @@ class Bag:
 
 
 def is_bag(path: str | Path) -> bool:
-    """Tell by its name whether a path is a recording in ROS 2's messages: `.mcap`, `.db3`, or a folder."""
-    return isdir(path) or Path(path).suffix in (".mcap", ".db3")  # noqa: PTH112  # False for an impossible name, where Path raises
+    """Tell by its name whether a path is a recording of ROS 2's messages."""
+    return isdir(path) or Path(path).suffix in (".mcap", ".db3")  # noqa: PTH112  # Path raises
 
 
 def read_bag(path: str | Path) -> Bag:
@@ -426,15 +428,17 @@ def _json_of(raw: Raw) -> Any:  # noqa: ANN401  # whatever JSON holds
 
 
 def read_page(path: str | Path) -> Recorded:
-    """Read one of our recordings for a report: tell its events to a new knowledge base, and copy the other rows.
+    """Read one of our recordings for a report: apply its events anew, copy the other rows.
 
     Raises:
-        MissionError, kb.ModelError: it cannot be read, or is not ours (`rosa replay --report` shows those).
+        MissionError, kb.ModelError: it cannot be read, or is not ours (`rosa replay --report` shows
+            those).
     """
     bag = read_bag(path)
     if not bag.run:
         raise MissionError(
-            f"{path} is not rosa's own; rosa replay {path} --mission NAME --report FILE.html shows it"
+            f"{path} is not rosa's own; "
+            f"rosa replay {path} --mission NAME --report FILE.html shows it"
         )
     now = [0.0]
     kb = KnowledgeBase(recorded_model(bag), clock=lambda: now[0])
@@ -472,7 +476,7 @@ def _run_of(run: object, place: str | Path) -> dict[str, Any]:
 
 
 def mcap_messages(place: Path, problems: Counter[str]) -> Iterator[Raw]:
-    """Yield the messages of an MCAP file from its first byte on, without the index, which a cut-off file lacks.
+    """Yield the messages of an MCAP file from its first byte on, without the index.
 
     Counts problems after which it can go on; raises what the library and its compression raise.
     """
@@ -534,7 +538,7 @@ def messages(path: str | Path, bag: Bag) -> Iterator[Raw]:
 
 
 def _ways(place: Path, bag: Bag) -> Iterator[tuple[Path, Iterator[Raw]]]:
-    """Yield paths with their messages: a rosbag2 as a whole, then file by file, as `rosbags` reads no cut file."""
+    """Yield paths with their messages: a rosbag2 as a whole, then file by file."""
     is_bag2 = (place / "metadata.yaml").exists() if place.is_dir() else place.suffix != ".mcap"
     if is_bag2:
         yield place, _rosbag2(place)

@@ -1,7 +1,7 @@
 """A `Node` publishes, subscribes, calls, serves and sends goals in ROS 2, whatever the wire.
 
-Messages are dicts like ROS 2's JSON. Nothing here waits for the network: messages are handed on by the thread of the
-connection, and `update`, called often, fails the calls that are overdue.
+Messages are dicts like ROS 2's JSON. Nothing here waits for the network: messages are handed on by
+the thread of the connection, and `update`, called often, fails the calls that are overdue.
 """
 
 import logging
@@ -92,7 +92,8 @@ class Goal(ABC):
 
     Attributes:
         is_accepted: whether the server is known to have accepted it.
-        status: as in action_msgs/GoalStatus: 2 executing, 3 canceling, 4 succeeded, 5 canceled, 6 aborted.
+        status: as in action_msgs/GoalStatus: 2 executing, 3 canceling, 4 succeeded, 5 canceled, 6
+            aborted.
         feedback: the latest one.
         signs: how many messages about it came.
         error: why no result will come.

@@ -41,13 +41,13 @@ class Messages:
             self._fields[kind] = {name: _field(text) for name, text in types.items()}
         return self._fields[kind]
 
-    def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # of a message package
+    def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # of rclpy
         fields = self.fields(kind)
         native = {name: _native(fields[name], value) for name, value in values.items()}
         return self.find(kind)(**native)
 
-    def find(self, kind: str) -> Any:  # noqa: ANN401  # of a message package
-        """Return the class of a message, a service or an action, or of a part such as TYPE_Request."""
+    def find(self, kind: str) -> Any:  # noqa: ANN401  # of rclpy
+        """Return the class of a message, service or action, or of a part, e.g. TYPE_Request."""
         from rosidl_runtime_py import utilities
 
         part = kind.rpartition("/")[2].partition("_")[2]
@@ -222,7 +222,7 @@ class RclpyNode(Node):
         return call.future
 
     def serve(self, service: str, kind: str, answer: Answer) -> None:
-        def respond(request: Any, _: Any) -> Any:  # noqa: ANN401  # of a message package
+        def respond(request: Any, _: Any) -> Any:  # noqa: ANN401  # of rclpy
             return self._response(kind, answer, request)
 
         self._node.create_service(self.types.find(kind), service, respond)
@@ -256,7 +256,7 @@ class RclpyNode(Node):
         kind, take = self.types.find(reader.kind), partial(self._take, reader)
         reader.opened = self._node.create_subscription(kind, reader.topic, take, quality)
 
-    def _take(self, reader: _Reader, thing: Any) -> None:  # noqa: ANN401  # of a message package
+    def _take(self, reader: _Reader, thing: Any) -> None:  # noqa: ANN401  # of rclpy
         try:
             reader.hearer(to_message(self.types, reader.kind, thing))
         except Exception as error:  # a malformed message, or an error of the hearer
@@ -315,7 +315,7 @@ class RclpyNode(Node):
             self._end_call(number, RosError(f"nobody serves {call.service}"))
         super()._expire(number)
 
-    def _response(self, kind: str, answer: Answer, request: Any) -> Any:  # noqa: ANN401  # of a message package
+    def _response(self, kind: str, answer: Answer, request: Any) -> Any:  # noqa: ANN401  # of rclpy
         """Return the response to a call, an empty one if it fails: ROS 2 has no error response."""
         try:
             message = answer(to_message(self.types, f"{kind}_Request", request))

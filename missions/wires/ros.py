@@ -1,4 +1,4 @@
-"""ROS 2's messages as dicts like its JSON: checked against their types, and made for what we publish and record.
+"""ROS 2's messages as dicts like its JSON, and those that we publish and record.
 
 Recordings take the types from `rosbags`, so they need no ROS.
 """
@@ -134,8 +134,8 @@ def json_text(value: object) -> Message:
     return {"data": json.dumps(value, separators=(",", ":"))}
 
 
-def diagnostics(time_s: float, array: Any) -> Message:  # noqa: ANN401  # whatever a DiagnosticArray comes as
-    """Return a DiagnosticArray at a time [s] for one that came as rclpy's object, a dict or CDR bytes.
+def diagnostics(time_s: float, array: Any) -> Message:  # noqa: ANN401  # in any form
+    """Return a DiagnosticArray at a time [s] from rclpy's object, a dict or CDR bytes.
 
     The values of a status are pairs or a mapping; level, name and hardware_id may be missing.
     """
@@ -162,7 +162,7 @@ def _fields(thing: Any) -> Mapping[str, Any]:  # noqa: ANN401  # a dict, or an o
 
 
 def log_of(event: Event, more: str = "") -> Message:
-    """Return a log message for an event: a plan with its reason, a failed component as a warning."""
+    """Return an event's log message: a plan with its reason, a failure as a warning."""
     why = f" because {event.plan.reason}" if event.plan is not None and event.plan.reason else ""
     return log(
         event.time, WARN if event.verb == "component_failed" else INFO, f"{event.text}{why}{more}"
@@ -175,7 +175,7 @@ def log(time_s: float, level: int, text: str) -> Message:
 
 
 def tree_log(time_s: float, changes: Sequence[tuple[str, int, str, str]]) -> Message:
-    """Return Nav2's message of status changes: (node name, uid, previous status, current status) of each."""
+    """Return Nav2's message of status changes: (node name, uid, previous, current)."""
     now, names = stamp(time_s), ("node_name", "uid", "previous_status", "current_status")
     changed = [{"timestamp": now, **dict(zip(names, change, strict=True))} for change in changes]
     return {"timestamp": now, "event_log": changed}
@@ -198,7 +198,7 @@ def transform(time_s: float, position: Sequence[float]) -> Message:
 
 
 def statuses_of(data: bytes) -> list[dict[str, Any]]:
-    """Return the statuses in the CDR bytes of a DiagnosticArray: name, message, values; level unless it is 0."""
+    """Return a DiagnosticArray's statuses: name, message, values; level unless it is 0."""
     statuses = []
     for status in types().decode(DIAGNOSTICS, data).status:
         values = {pair.key: pair.value for pair in status.values}
@@ -233,7 +233,7 @@ def check_kind(kind: str) -> None:
 
 
 class Field(NamedTuple):
-    """The type of a field; `length` is None for one value, 0 for a sequence, else an array's size."""
+    """A field's type; `length` is None for one value, 0 for a sequence, else the size."""
 
     kind: str
     length: int | None = None
@@ -249,7 +249,7 @@ class Library(Protocol):
         """Return a message with these values; all other fields are zero or empty."""
 
 
-def to_object(library: Library, kind: str, message: Message) -> Any:  # noqa: ANN401  # of the library
+def to_object(library: Library, kind: str, message: Message) -> Any:  # noqa: ANN401  # its own
     """Return the library's object for a message that is written as a dict.
 
     Raises:
@@ -281,7 +281,7 @@ def _to_value(library: Library, field: Field, value: Any) -> Any:  # noqa: ANN40
     return value
 
 
-def to_message(library: Library, kind: str, thing: Any) -> Message:  # noqa: ANN401  # of the library
+def to_message(library: Library, kind: str, thing: Any) -> Message:  # noqa: ANN401  # its own
     fields = library.fields(kind).items()
     return {name: _from_value(library, field, getattr(thing, name)) for name, field in fields}
 

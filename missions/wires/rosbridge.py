@@ -1,8 +1,8 @@
 """ROS 2 by a robot's rosbridge (protocol v2: JSON over WebSocket).
 
-A rosbridge with its default parameters does one thing at a time for a connection: a call without an answer, or a goal
-that is under way, blocks it for good, but for topics. So each node is called by a connection of its own, which is
-opened anew after an overdue call, and so is each goal.
+A rosbridge with its default parameters does one thing at a time for a connection: a call without an
+answer, or a goal that is under way, blocks it for good, but for topics. So each node is called by a
+connection of its own, which is opened anew after an overdue call, and so is each goal.
 """
 
 import json
@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
+from functools import partial
 from socket import SHUT_RDWR
 from threading import Condition, Event, Thread
 from typing import Any, Final
@@ -298,7 +299,7 @@ class Rosbridge(Node):
             lane = self._lanes.get(name)
             if lane is None:
                 lane = self._lanes[name] = self.connection(self._hear)
-                lane.start(lambda reason, lane=lane: self._drop(name, lane, reason))  # type: ignore[misc]  # mypy infers no lambda with defaults
+                lane.start(partial(self._drop, name, lane))
         return lane
 
     def _drop(self, name: str, lane: Connection, reason: str) -> None:
@@ -328,7 +329,7 @@ class Rosbridge(Node):
         while not self._closing.is_set():
             connection = self.connection(self._hear)
             try:
-                reason = connection.run(lambda c=connection: self._begin(c))  # type: ignore[misc]  # as above
+                reason = connection.run(partial(self._begin, connection))
             except Exception as error:  # refused, unknown host, no WebSocket, wrong token
                 self._report(False, self._advice(error))
                 self._closing.wait(self._wait_s)

@@ -1,4 +1,4 @@
-"""ROSA's own services, as the original's node `rosa_kb` serves them, so that trees and planners elsewhere can ask us."""
+"""ROSA's own services, as the original's node `rosa_kb` serves them to trees and planners."""
 
 import logging
 from collections.abc import Iterable, Iterator, Mapping
@@ -19,9 +19,10 @@ _log = logging.getLogger(__name__)
 
 
 class RosaServices:
-    """Serves ROSA's services under `/rosa_kb/` from a knowledge base, which refuses what is unfeasible.
+    """Serves ROSA's services under `/rosa_kb/` from a knowledge base.
 
-    Services, types and fields have the original's names; times are ISO 8601, by the knowledge base's clock.
+    Services, types and fields have the original's names; times are ISO 8601, by the knowledge
+    base's clock.
     """
 
     def __init__(self, kb: KnowledgeBase, node: Node) -> None:
@@ -83,7 +84,7 @@ class RosaServices:
     # ---------------------------------------------------------------- what requests do
 
     def _request_action(self, request: Message) -> Message:
-        """Request an action, or cancel it if `is_required` is false, as the original's tree does."""
+        """Request an action; cancel it if `is_required` is false, as ROSA's tree does."""
         name = _name(request, "action")
         if request["action"].get("is_required"):
             reply = self._kb.request_action(name, preference=request.get("preference") or None)

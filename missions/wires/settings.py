@@ -22,10 +22,11 @@ class BridgeSettings:
 
     Attributes:
         url: of the robot's rosbridge, e.g. "ws://127.0.0.1:9090".
-        attributes: for each name the field that measures it, "/topic.field" (more dots lead to deeper fields and
-            array elements), and after a space the type, e.g. "/battery_state.percentage sensor_msgs/msg/BatteryState".
-        components: for each name its node, e.g. "/camera"; a lifecycle component that is not named here is the node
-            with its own name.
+        attributes: for each name the field that measures it, "/topic.field" (more dots lead to
+            deeper fields and array elements), and after a space the type, e.g.
+            "/battery_state.percentage sensor_msgs/msg/BatteryState".
+        components: for each name its node, e.g. "/camera"; a lifecycle component that is not named
+            here is the node with its own name.
         diagnostics: what the statuses of a name mean, by pattern; see `kb.DiagnosticRules`.
         diagnostics_topic: empty for none.
         timeout_s: how long a call of a node may take [s].

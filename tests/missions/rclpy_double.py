@@ -1,8 +1,9 @@
-"""rclpy, rosidl_runtime_py and message packages as they are in ROS 2, as far as the product uses them.
+"""rclpy, rosidl_runtime_py and message packages, as far as the product uses them.
 
-Names, parameters and checks of types are those of the real ones; whatever else is used raises. Nodes of one process
-meet; callbacks run in the thread that spins, and what a callback raises ends it, as there. A `RobotHost` carries a robot of
-`ros_robot`. What an action client gets is what was recorded (data/ros2_transcripts.json).
+Names, parameters and checks of types are those of the real ones; whatever else is used raises.
+Nodes of one process meet; callbacks run in the thread that spins, and what a callback raises ends
+it, as there. A `RobotHost` carries a robot of `ros_robot`. What an action client gets is what was
+recorded (data/ros2_transcripts.json).
 """
 
 import sys
@@ -305,7 +306,7 @@ class SingleThreadedExecutor:
 
 
 class RobotHost:
-    """Carries lifecycle nodes and an action server of `ros_robot`; they answer at once, and need no thread."""
+    """Carries a robot of `ros_robot`; it answers at once, and needs no thread."""
 
     actions: ClassVar = {}
 
@@ -405,7 +406,7 @@ def get_action(identifier):
 
 
 def _class(kind):
-    """Return the class of a message as rosidl generates it: checked setters, and types of fields in its words."""
+    """Return the class of a message as rosidl generates it, with checked setters."""
     if kind not in _CLASSES:
         fields = {
             name: (node.name, what)

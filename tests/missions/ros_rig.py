@@ -1,4 +1,4 @@
-"""A robot of `ros_robot` by each wire, with its bridge and manager, by a clock that a test turns."""
+"""A robot by each wire, with its bridge and manager, by a clock that a test turns."""
 
 import time
 from contextlib import contextmanager, suppress

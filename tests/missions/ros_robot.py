@@ -1,7 +1,7 @@
-"""A robot in ROS 2 as real ones behave, on whatever wire: lifecycle nodes and an action server that can misbehave.
+"""A robot as real ones behave: lifecycle nodes and an action server that can misbehave.
 
-What they answer is what was recorded from ROS 2 Jazzy (data/ros2_transcripts.json). A `host` carries them: the double of a
-rosbridge, or that of rclpy. A function that returns None never answers.
+They answer what was recorded from ROS 2 Jazzy (data/ros2_transcripts.json). A `host` carries
+them: the double of a rosbridge, or that of rclpy. A function that returns None never answers.
 """
 
 from base64 import b64encode
@@ -50,7 +50,7 @@ class LifecycleNode:
         self.is_frozen = True
 
     def vanish(self):
-        """End what is left of it in the graph, as happens 9 s later, or at once after a tidy end."""
+        """End what is left of it in the graph, as 9 s later, or at once after a tidy end."""
         self.is_frozen = True
         for service in ("get_state", "change_state", "set_parameters_atomically"):
             self.host.unserve(f"{self.name}/{service}")

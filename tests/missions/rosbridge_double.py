@@ -1,7 +1,7 @@
-"""A rosbridge as rosbridge_suite 2.1.0 is by its defaults, as far as the product uses it; and a player of what one said.
+"""A rosbridge as rosbridge_suite 2.1.0 is by its defaults; and a player of what one said.
 
-A connection does one thing at a time: an unanswered call or a goal under way blocks it, topics still flow. An unknown
-type, operation or malformed text is answered by nothing.
+A connection does one thing at a time: an unanswered call or a goal under way blocks it, topics
+still flow. An unknown type, operation or malformed text is answered by nothing.
 """
 
 import json
@@ -183,7 +183,7 @@ class RosbridgeDouble(Host):
 
 
 class Player(Host):
-    """Plays what a real rosbridge said in one recorded case, whenever a client asks as it was asked then."""
+    """Plays what a real rosbridge said in a case, whenever a client asks as then."""
 
     def __init__(self, case):
         self._left = [one for one in case if one["from"] != "world"]

@@ -1,4 +1,4 @@
-"""The bridge: what a robot says becomes known, ages, is asked for and is told, whatever the wire."""
+"""The bridge: what a robot says becomes known, and ages, whatever the wire."""
 
 import random
 from concurrent.futures import Future
@@ -328,7 +328,7 @@ def test_events_are_published_as_the_original_compares_them(server):
     until(lambda: any("because function look is needed by explore" in one for one in said))
 
 
-def test_lost_connection_makes_stale_and_what_is_decided_is_published_later(server):
+def test_lost_connection_makes_stale_and_publishes_later(server):
     heard = []
     server.host.subscribe("/rosa_kb/events", "", lambda one: heard.append(one["data"]))
     (enough,) = server.kb.actions["explore"].constraints

@@ -1,4 +1,4 @@
-"""One contract of the nodes that talk ROS 2, by rosbridge and by rclpy; and what is theirs alone."""
+"""One contract of the nodes by rosbridge and by rclpy; and what is theirs alone."""
 
 import json
 import threading
@@ -241,7 +241,7 @@ def test_call_without_a_connection_fails_at_once():
     node.close()
 
 
-def test_unanswered_call_blocks_neither_other_nodes_nor_later_calls():
+def test_unanswered_call_blocks_no_other_call():
     now = [0.0]
     with connected("rosbridge", clock=lambda: now[0]) as (host, node):
         host.serve("/stuck/ask", ASK, lambda _: None)
@@ -255,7 +255,7 @@ def test_unanswered_call_blocks_neither_other_nodes_nor_later_calls():
         assert node.call("/stuck/ask", ASK, {"b": 2}).result(60) == {"b": 2}
 
 
-def test_publications_waiting_at_a_cut_are_sent_on_the_next_connection():
+def test_publications_waiting_at_a_cut_are_sent_later():
     host, heard = RosbridgeDouble(), []
     port = host.port
     node = Rosbridge(host.url)
@@ -271,7 +271,7 @@ def test_publications_waiting_at_a_cut_are_sent_on_the_next_connection():
     again.close()
 
 
-def test_full_queue_drops_the_oldest_publication_but_no_declaration():
+def test_full_queue_drops_old_publications_only():
     node = Rosbridge("ws://127.0.0.1:9")
     node.subscribe("/orders", STRING, print)
     for number in range(QUEUED + 5):
@@ -284,7 +284,7 @@ def test_full_queue_drops_the_oldest_publication_but_no_declaration():
     node.close()
 
 
-def test_connection_closed_while_its_receiver_is_stuck_returns_the_rest(monkeypatch):
+def test_connection_closed_while_stuck_returns_the_rest(monkeypatch):
     monkeypatch.setattr("missions.wires.rosbridge.FLUSH_S", 0.01)
     sending, release, sent = threading.Event(), threading.Event(), []
 

@@ -1,4 +1,4 @@
-"""The rover of the examples in a program of its own, against a rosbridge and nodes that behave as real ones."""
+"""The rover of the examples in a program of its own, against doubles."""
 
 import os
 import subprocess

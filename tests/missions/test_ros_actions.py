@@ -130,7 +130,7 @@ class Work(RosaAction):
 
 @pytest.fixture
 def interrupted(robot):
-    """A tree that leaves its goal for another action of the same component as soon as that is feasible."""
+    """A tree that leaves its goal for another action of the same component."""
     model = robot.kb.model
     model.function("drive").design("by_base", [model.component("base")])
     charged = model.quality_attribute("charged")
