@@ -403,7 +403,7 @@ class KnowledgeBase:
             with self._updating:
                 node = self._network.attributes[attribute]  # if it is still there
                 words = ""
-                if self._words_wanted:
+                if self._words_wanted or self.log.witnesses:
                     around = self._network.thresholds(node).around(value)
                     words = f"{attribute} is {reading_in_words(value, around, node)}"
                 last = self._record("measure", (node.name, value), words=words).number

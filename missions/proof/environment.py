@@ -127,7 +127,7 @@ class Environment:
         self._read = read
         self.values = dict(_apart(self, every) if symmetric else every)
         self.worst = {
-            name: max(options, key=lambda value, name=name: len(self.signature(name, value)))  # type: ignore[misc]
+            name: max(options, key=lambda value, name=name: len(self.signature(name, value)))  # type: ignore[misc]  # bound in the loop
             for name, options in self.values.items()
         }
         named = {leaf.element.name for leaf in leaves if isinstance(leaf, HasStatus)}

@@ -259,7 +259,7 @@ class Rig(VisitorBase):
         met = {}
         for name in self.restored_by(leaf):
             options = self.environment.values[name]
-            met[name] = min(options, key=lambda value, name=name: self._violated(name, value))  # type: ignore[misc]
+            met[name] = min(options, key=lambda value, name=name: self._violated(name, value))  # type: ignore[misc]  # bound in the loop
         for name, asked in limits.items():
             options = self.environment.values.get(name, ())
             met[name] = max(options, key=partial(_satisfied, asked), default=asked[0][1])
