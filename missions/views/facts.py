@@ -131,12 +131,12 @@ class ElementTable:
             return self.names["function", view.function]
         return self.names["component", view.component] if kind == "configuration" else None
 
-    def _add(self, key: Any, kind: str, view: Any) -> int:  # noqa: ANN401  # any view
+    def _add(self, key: Any, kind: str, view: Any) -> int:  # noqa: ANN401  # a view of any kind
         number = self._numbers.setdefault(key, len(self._numbers))
         self._views[number] = kind, view
         return number
 
-    def _relations(self, kind: str, view: Any) -> dict[str, Any]:  # noqa: ANN401  # any view
+    def _relations(self, kind: str, view: Any) -> dict[str, Any]:  # noqa: ANN401  # a view of any kind
         def numbers(kind: str, names: Iterable[str]) -> list[int]:
             return [self.names[kind, name] for name in names]
 

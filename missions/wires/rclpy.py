@@ -41,12 +41,12 @@ class Messages:
             self._fields[kind] = {name: _field(text) for name, text in types.items()}
         return self._fields[kind]
 
-    def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # of rclpy
+    def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # an object of rclpy
         fields = self.fields(kind)
         native = {name: _native(fields[name], value) for name, value in values.items()}
         return self.find(kind)(**native)
 
-    def find(self, kind: str) -> Any:  # noqa: ANN401  # of rclpy
+    def find(self, kind: str) -> Any:  # noqa: ANN401  # an object of rclpy
         """Return the class of a message, service or action, or of a part, e.g. TYPE_Request."""
         from rosidl_runtime_py import utilities
 
@@ -110,7 +110,7 @@ class RclpyGoal(Goal):
         if self.handle is not None and not self.is_over:
             self.handle.cancel_goal_async().add_done_callback(self._on_cancel)
 
-    def on_response(self, future: Any) -> None:  # noqa: ANN401  # of rclpy
+    def on_response(self, future: Any) -> None:  # noqa: ANN401  # an object of rclpy
         handle = self._value(future)
         if handle is not None and not handle.accepted:
             self.error = f"{self.action} rejects the goal"
@@ -121,22 +121,22 @@ class RclpyGoal(Goal):
             if self.is_unwanted:
                 self.cancel()
 
-    def on_feedback(self, message: Any) -> None:  # noqa: ANN401  # of rclpy
+    def on_feedback(self, message: Any) -> None:  # noqa: ANN401  # an object of rclpy
         self.feedback = to_message(self._types, f"{self._kind}_Feedback", message.feedback)
         self._progress(2)
 
-    def _on_result(self, future: Any) -> None:  # noqa: ANN401  # of rclpy
+    def _on_result(self, future: Any) -> None:  # noqa: ANN401  # an object of rclpy
         answer = self._value(future)
         if answer is not None:
             self.result = to_message(self._types, f"{self._kind}_Result", answer.result)
             self._progress(answer.status)
 
-    def _on_cancel(self, future: Any) -> None:  # noqa: ANN401  # of rclpy
+    def _on_cancel(self, future: Any) -> None:  # noqa: ANN401  # an object of rclpy
         answer = self._value(future)
         if answer is not None:  # its return code is 0 even when the cancel is refused
             self.is_cancel_refused = not answer.goals_canceling
 
-    def _value(self, future: Any) -> Any:  # noqa: ANN401  # of rclpy
+    def _value(self, future: Any) -> Any:  # noqa: ANN401  # an object of rclpy
         if future.exception() is None:
             return future.result()
         self.error = f"{self.action} failed: {future.exception()}"
@@ -222,7 +222,7 @@ class RclpyNode(Node):
         return call.future
 
     def serve(self, service: str, kind: str, answer: Answer) -> None:
-        def respond(request: Any, _: Any) -> Any:  # noqa: ANN401  # of rclpy
+        def respond(request: Any, _: Any) -> Any:  # noqa: ANN401  # an object of rclpy
             return self._response(kind, answer, request)
 
         self._node.create_service(self.types.find(kind), service, respond)
@@ -256,7 +256,7 @@ class RclpyNode(Node):
         kind, take = self.types.find(reader.kind), partial(self._take, reader)
         reader.opened = self._node.create_subscription(kind, reader.topic, take, quality)
 
-    def _take(self, reader: _Reader, thing: Any) -> None:  # noqa: ANN401  # of rclpy
+    def _take(self, reader: _Reader, thing: Any) -> None:  # noqa: ANN401  # an object of rclpy
         try:
             reader.hearer(to_message(self.types, reader.kind, thing))
         except Exception as error:  # a malformed message, or an error of the hearer
@@ -302,7 +302,7 @@ class RclpyNode(Node):
         elif not is_ready and request is None:
             self._end_call(number, RosError(f"the server of {call.service} is gone"))
 
-    def _on_answer(self, number: str, call: Call, future: Any) -> None:  # noqa: ANN401  # of rclpy
+    def _on_answer(self, number: str, call: Call, future: Any) -> None:  # noqa: ANN401  # an object of rclpy
         if future.exception() is not None:
             self._end_call(number, RosError(f"{call.service} failed: {future.exception()}"))
         else:
@@ -315,7 +315,7 @@ class RclpyNode(Node):
             self._end_call(number, RosError(f"nobody serves {call.service}"))
         super()._expire(number)
 
-    def _response(self, kind: str, answer: Answer, request: Any) -> Any:  # noqa: ANN401  # of rclpy
+    def _response(self, kind: str, answer: Answer, request: Any) -> Any:  # noqa: ANN401  # an object of rclpy
         """Return the response to a call, an empty one if it fails: ROS 2 has no error response."""
         try:
             message = answer(to_message(self.types, f"{kind}_Request", request))

@@ -249,7 +249,7 @@ class Library(Protocol):
         """Return a message with these values; all other fields are zero or empty."""
 
 
-def to_object(library: Library, kind: str, message: Message) -> Any:  # noqa: ANN401  # its own
+def to_object(library: Library, kind: str, message: Message) -> Any:  # noqa: ANN401  # a message of the library
     """Return the library's object for a message that is written as a dict.
 
     Raises:
@@ -281,7 +281,7 @@ def _to_value(library: Library, field: Field, value: Any) -> Any:  # noqa: ANN40
     return value
 
 
-def to_message(library: Library, kind: str, thing: Any) -> Message:  # noqa: ANN401  # its own
+def to_message(library: Library, kind: str, thing: Any) -> Message:  # noqa: ANN401  # a message of the library
     fields = library.fields(kind).items()
     return {name: _from_value(library, field, getattr(thing, name)) for name, field in fields}
 

@@ -16,11 +16,11 @@ from figures import table
 TESTS = Path(__file__).parents[1]
 sys.path += [str(TESTS), str(TESTS / "kb")]  # the lives and interrupts are those of the tests
 
-from clocks import Clock  # noqa: E402
-from interrupting import interrupted_at, is_free  # noqa: E402
-from kept import KEPT, Life, answers, robot  # noqa: E402
+from clocks import Clock  # noqa: E402  # the path is set first
+from interrupting import interrupted_at, is_free  # noqa: E402  # the path is set first
+from kept import KEPT, Life, answers, robot  # noqa: E402  # the path is set first
 
-from kb import KnowledgeBase, KnowledgeBaseError  # noqa: E402
+from kb import KnowledgeBase, KnowledgeBaseError  # noqa: E402  # the path is set first
 
 pytestmark = pytest.mark.benchmark(group="faults")
 

@@ -233,7 +233,7 @@ def test_cancelled_command_commands_nothing_more():
     class SlowNode(Node):
         """Answers when the test says so."""
 
-        calls = []  # noqa: RUF012
+        calls = []  # noqa: RUF012  # of this test's own
 
         def call(self, service, kind, request, timeout_s=5.0):
             self.calls.append((service, Future()))
