@@ -246,7 +246,9 @@ def test_two_runs_stand_side_by_side_and_say_what_differs(visits):
     assert page.get_by_role("button", name="B: ").get_attribute("aria-pressed") == "true"
 
 
-@pytest.mark.xfail(reason="the page of a proof has no results to open since verify was rewritten")
+@pytest.mark.xfail(
+    run=False, reason="the page of a proof has no results to open since verify was rewritten"
+)
 def test_proof_says_what_failures_leave(visits, tmp_path):
     proof = prove(setup_of(find_mission("suave")))
     proof.report(tmp_path / "proof.html")
