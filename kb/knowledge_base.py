@@ -937,9 +937,7 @@ class KnowledgeBase:
     def _record_dwell(self, node: Node, time: float) -> None:
         state = self._state
         before = state.verdict(node)
-        supposed = state.copy()
-        supposed.judge(node, time)
-        after = supposed.verdict(node)
+        after = state.judged(node, time)[0].status
         if after is before:
             self._alarms.set("dwell", node, state.judge(node, time))
             return

@@ -216,22 +216,21 @@ class State:
             method(event, *event.arguments)
             self.infer()
 
-    def changes(self) -> tuple[StatusChange, ...]:
-        """Return how statuses changed since `forget_changes`, from the lowest level up."""
-        nodes = sorted(self._before, key=lambda node: (node.level, node.index))
-        return tuple(
-            StatusChange(node.kind, node.name, self._before[node], self.status[node])
-            for node in nodes
-            if self.status.get(node, self._before[node]) is not self._before[node]
-        )
-
     def changed_nodes(self) -> list[Node]:
-        """Return the nodes of `changes`."""
-        return [
+        """Return the nodes whose status changed since `forget_changes`, the lowest level first."""
+        changed = [
             node
             for node, before in self._before.items()
             if self.status.get(node, before) is not before
         ]
+        return sorted(changed, key=lambda node: (node.level, node.index))
+
+    def changes(self) -> tuple[StatusChange, ...]:
+        """Return how the statuses of `changed_nodes` changed."""
+        return tuple(
+            StatusChange(node.kind, node.name, self._before[node], self.status[node])
+            for node in self.changed_nodes()
+        )
 
     def forget_changes(self) -> None:
         """Begin to collect changes anew."""
@@ -270,14 +269,16 @@ class State:
         for constraint in self.network.thresholds(node).debounced:
             self.judge(constraint, now)
 
+    def judged(self, constraint: Node, now: float) -> tuple[Debounced, float]:
+        """Return what a debounced constraint is by its votes, and when to judge it again [s]."""
+        values = tuple(value for _, value in self.votes.get(constraint.requires[0], ()))
+        before = self.debounced.get(constraint, Debounced())
+        return judge(constraint, before, values, now) if values else (before, NEVER)
+
     def judge(self, constraint: Node, now: float) -> float:
         """Judge a debounced constraint; return when to judge again if nothing is measured [s]."""
-        values = tuple(value for _, value in self.votes.get(constraint.requires[0], ()))
-        if not values:
-            return NEVER
-        before = self.debounced.get(constraint, Debounced())
-        after, again = judge(constraint, before, values, now)
-        if after is not before or constraint not in self.debounced:
+        after, again = self.judged(constraint, now)
+        if constraint.requires[0] in self.votes and after is not self.debounced.get(constraint):
             self.touch([constraint])
             self.debounced[constraint] = after
         return again
