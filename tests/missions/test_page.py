@@ -245,7 +245,7 @@ def test_robot_of_ones_own_is_recorded_in_three_lines(tmp_path):
         "plan",
         "force",
     ]
-    assert shown[1]["chain"][0]["words"] == "energy 0.1 < 0.2"
+    assert shown[1]["chain"][0]["words"] == "energy is 0.1"
     assert run.last("element")[names(run)["light"]]["unit"] == "lx"
     assert run.last("pose")[0][0] >= 5.0
     recorder.close()
