@@ -6,8 +6,8 @@ from itertools import islice, pairwise
 from math import inf, isfinite
 from typing import Any, Final
 
-from kb import Event, KnowledgeBase, PriorityPlanner, Situation, Status
-from kb.planning import Choice
+from kb import Event, KnowledgeBase, Situation, Status
+from kb.planning import Choice, choice_by_priority
 from missions.engine.adaptations import Adaptation
 from missions.views.output import plain
 
@@ -163,7 +163,8 @@ class ElementTable:
 
 def supposed(base: KnowledgeBase, situation: Situation, names: Names) -> dict[str, Any]:
     """Return what a situation makes feasible, what is chosen there, and which statuses differ."""
-    choice = PriorityPlanner().choose(situation) or Choice({}, {})
+    with situation.reading() as state:
+        choice = choice_by_priority(state) or Choice({}, {})
     chosen: dict[str, int | None] = {}
     for name, function in situation.functions.items():
         if function.designs:
