@@ -296,7 +296,7 @@ def test_battery_fault_from_a_page_is_answered_with_its_chain():
             until=lambda one: ("adaptation", 1) in fold(one.get("rows", ())),
         )
         chain = fold(answers[-1]["rows"])["adaptation", 1]["chain"]
-        assert chain[0]["words"] == "battery_level 0.2 < 0.25"
+        assert chain[0]["words"] == "battery_level is 0.2"
         assert [link["what"] for link in chain] == [
             "news",
             "status",
