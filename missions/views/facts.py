@@ -88,7 +88,9 @@ class ElementTable:
                 data |= {"of": str(view.kind), "unit": unit, "max_age": plain(view.max_age)}
                 data["thresholds"] = limits[view.name]
             else:
-                data["constraints"] = [self._numbers[one.element] for one in view.constraints]
+                data["constraints"] = [
+                    self._numbers[constraint.element] for constraint in view.constraints
+                ]
                 data |= self._relations(kind, view)
             yield number, data
         for number in sorted(before - set(self._views)):
@@ -110,7 +112,10 @@ class ElementTable:
         """Return why an element has its status, what would help, and what is chosen for whom it belongs to."""
         kind, view = self._views[number]
         explained = self._kb.explain(view)
-        rows = {"why": explained.sentence, "help": [str(one) for one in explained.remedies] or None}
+        rows = {
+            "why": explained.sentence,
+            "help": [str(remedy) for remedy in explained.remedies] or None,
+        }
         return rows if kind not in _CHOICES else rows | self.choice(number)
 
     def choice(self, number: int) -> dict[str, Any]:

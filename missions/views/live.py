@@ -206,7 +206,8 @@ class LiveView(AbstractContextManager["LiveView"]):
     ) -> None:
         with needs("live", "the live page"):
             import websockets  # noqa: F401  # used later, in the server's thread
-        self._kb, self._steering = kb, steering
+        self._kb = kb
+        self._steering = steering
         self._token = token if token is not None or host in _LOOPBACK else token_urlsafe(16)
         self._socket = _listening(host, port)
         port = self._socket.getsockname()[1]
@@ -255,14 +256,17 @@ class LiveView(AbstractContextManager["LiveView"]):
         """Wake the pages at each beat with new rows, until the view is closed and they have the last rows."""
         from websockets.asyncio.server import serve
 
-        silent, closing_s = 0, 0.0
+        silent = 0
+        closing_s = 0.0
         async with serve(self._attend, sock=self._socket, process_request=self._admit, **_SERVER):
             while not self._is_closing or (self._pages and closing_s <= _PATIENCE_S):
                 silent += 1
                 if self._rows.next > self._end or silent >= _SILENCE or self._is_closing:
-                    silent, self._end = 0, self._rows.next
+                    silent = 0
+                    self._end = self._rows.next
                     self._frames.clear()
-                    waiting, self._beat = self._beat, asyncio.Event()
+                    waiting = self._beat
+                    self._beat = asyncio.Event()
                     waiting.set()
                 closing_s += BEAT_S * self._is_closing
                 await asyncio.sleep(BEAT_S)
@@ -288,7 +292,8 @@ class LiveView(AbstractContextManager["LiveView"]):
 
     def _refusal(self, headers: Mapping[str, str], token: str) -> str:
         """Return why a request is refused; empty if it is not."""
-        host, origin = headers.get("host", ""), headers.get("origin")
+        host = headers.get("host", "")
+        origin = headers.get("origin")
         if origin is not None and urlsplit(origin).netloc != host:
             return f"a page from {origin} may not look at this robot; open {self._place} itself"
         if self._token is None:

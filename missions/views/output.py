@@ -96,24 +96,24 @@ def summary(
         "outcome_reason": verdict.reason,
         "duration_s": run.world.now,
         **run.results(),
-        "adaptations": [_fields(one, *_ADAPTATION) for one in run.adaptations],
+        "adaptations": [_fields(adaptation, *_ADAPTATION) for adaptation in run.adaptations],
         "actions": [
             {
-                "name": one.action,
-                "start_s": one.start,
-                "end_s": one.end,
-                **_fields(one, "result", "reason"),
+                "name": action.action,
+                "start_s": action.start,
+                "end_s": action.end,
+                **_fields(action, "result", "reason"),
             }
-            for one in run.actions
+            for action in run.actions
         ],
         "plans": [
-            {**_fields(one, "at_s", "reason"), "outcome": str(one.outcome), "engine": one.engine}
-            | {"steps": [str(step) for step in one.steps]}
-            for one in run.plans
+            {**_fields(plan, "at_s", "reason"), "outcome": str(plan.outcome), "engine": plan.engine}
+            | {"steps": [str(step) for step in plan.steps]}
+            for plan in run.plans
         ],
         **({"plans_from": run.plans[0].number} if run.plans and run.plans[0].number > 1 else {}),
         "reactions": [
-            _fields(one, "uncertainty", "start_s", "delay_s") for one, _ in run.reactions
+            _fields(reaction, "uncertainty", "start_s", "delay_s") for reaction, _ in run.reactions
         ],
         "disturbances": [{"at_s": time, "what": text} for time, text in run.disturbances()],
         "diagnostics_problems": [
@@ -122,8 +122,8 @@ def summary(
     }
 
 
-def _fields(one: object, *names: str) -> dict[str, Any]:
-    return {name: getattr(one, name) for name in names}
+def _fields(record: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(record, name) for name in names}
 
 
 def as_json(data: Mapping[str, Any]) -> str:
@@ -134,14 +134,16 @@ def as_json(data: Mapping[str, Any]) -> str:
 def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401  # whatever JSON holds
     """Return a value that JSON can hold: floats rounded to `digits`, NaN and infinity as None, objects as text."""
     if isinstance(value, Mapping):
-        return {str(key): plain(one, digits) for key, one in value.items()}
+        return {str(key): plain(part, digits) for key, part in value.items()}
     if isinstance(value, float):
-        return (
-            None if not math.isfinite(value) else value if digits is None else round(value, digits)
-        )
+        if not math.isfinite(value):
+            return None
+        return value if digits is None else round(value, digits)
     if value is None or isinstance(value, int | str):
         return value
-    return [plain(one, digits) for one in value] if isinstance(value, list | tuple) else str(value)
+    if isinstance(value, list | tuple):
+        return [plain(part, digits) for part in value]
+    return str(value)
 
 
 def timing_of(run: MissionRun, wall_s: float) -> dict[str, Any]:
@@ -152,8 +154,8 @@ def timing_of(run: MissionRun, wall_s: float) -> dict[str, Any]:
         "simulated_s_per_wall_s": run.world.now / wall_s,
         "compute_s": run.compute_s,
         "reactions": [
-            _fields(one, "uncertainty", "start_s") | {"compute_s": took_s}
-            for one, took_s in run.reactions
+            _fields(reaction, "uncertainty", "start_s") | {"compute_s": took_s}
+            for reaction, took_s in run.reactions
         ],
     }
 
@@ -170,7 +172,8 @@ def figure_in_words(
     words = name.removesuffix(f"_{unit}").replace("_", " ")
     sign = UNITS.get(unit, "")
     if model is not None and name in model.attributes:
-        words, sign = name.replace("_", " "), model.attributes[name].unit
+        words = name.replace("_", " ")
+        sign = model.attributes[name].unit
     if value is None:
         shown = "-"
     elif float(value).is_integer() and (

@@ -48,7 +48,8 @@ class CausalOrder(NamedTuple):
 
 def lines_of(answer: Answer) -> Iterator[str]:
     """Yield a plan, a line for each step with the steps that it needs; or the reason why there is no plan."""
-    question, result = answer.question, answer.result
+    question = answer.question
+    result = answer.result
     if not result.outcome.is_solved:
         yield f"no plan: {result.message or result.outcome}"
         yield from (f"  {obstacle}" for obstacle in answer.obstacles)
@@ -123,7 +124,9 @@ def causal_order(
         if number < len(steps):
             needed, changed, after = _replayed(domain, steps[number], state)
         else:
-            needed, changed, after = set(mentioned_atoms(domain, goals, (), {})), frozenset(), state
+            needed = set(mentioned_atoms(domain, goals, (), {}))
+            changed = frozenset()
+            after = state
         causes: defaultdict[int, list[str]] = defaultdict(list)
         for atom in sorted(needed & changer.keys()):
             causes[changer[atom]].append(atom if atom in state else f"(not {atom})")
@@ -138,7 +141,8 @@ def causal_order(
 
 def _replayed(domain: Domain, step: Step, state: State) -> tuple[set[str], State, State]:
     """Return the atoms that a step needs, the atoms that it changes, and the state after it."""
-    schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
+    schema = domain.schema_of[step.schema]
+    binding = binding_of(domain, step)
     needed = set(mentioned_atoms(domain, schema.start, schema.start_effects, binding))
     meanwhile = started(domain, step, state)
     changed = state ^ meanwhile
@@ -161,7 +165,9 @@ def _beyond(
         for source in {source for source, target in linked if target == later}:
             before[later] |= {source, *before[source]}
         # the latest first: what comes before it then follows
-        for earlier in sorted((one for one, other in threats if other == later), reverse=True):
+        for earlier in sorted(
+            (first for first, second in threats if second == later), reverse=True
+        ):
             if earlier not in before[later]:
                 orders.append((earlier, later))
                 before[later] |= {earlier, *before[earlier]}
@@ -260,10 +266,12 @@ def _lines(order: CausalOrder, number: int) -> list[str]:
 def _arrow(boxes: Mapping[int, _Box], arrows: Sequence[_Arrow], arrow: _Arrow) -> Iterator[str]:
     """Yield an arrow and the facts beside its end; the arrows to a step end beside one another."""
     earlier, later, words = arrow
-    source, target = boxes[earlier], boxes[later]
+    source = boxes[earlier]
+    target = boxes[later]
     place = [each for each in arrows if each[1] == later].index(arrow)
     x = target.x + 8 + _ENTRY * place
-    start, end = source.y + source.height, target.y
+    start = source.y + source.height
+    end = target.y
     turn = end - LINE * (place + 1)
     way = f"M{source.x + 8:g} {start:g}C{source.x + 8:g} {turn:g} {x:g} {start:g} {x:g} {turn:g}V{end:g}"
     style = f'stroke="{_EDGE}"' if words else f'stroke="{_LATER}" stroke-dasharray="5 4"'
