@@ -1,4 +1,4 @@
-"""What a page shows of a knowledge base, as plain data: elements, reasons, what-if cases, causes of adaptations."""
+"""The knowledge base as plain data for a page: elements, reasons, what-if cases, causes."""
 
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -50,7 +50,9 @@ def views_of(base: Base) -> dict[str, Mapping[str, Any]]:
 
 
 class ElementTable:
-    """Numbers the elements of a knowledge base; an element keeps its number when the model is amended.
+    """Numbers the elements of a knowledge base.
+
+    An element keeps its number when the model is amended.
 
     Attributes:
         names: the number of each element that is there now, by kind and name.
@@ -63,7 +65,10 @@ class ElementTable:
         self._views: dict[int, tuple[str, Any]] = {}
 
     def describe(self, units: Mapping[str, str]) -> Iterator[tuple[int, dict[str, Any] | None]]:
-        """Yield each element as plain data that refers to others by number; None for one that is gone."""
+        """Yield each element as plain data that refers to others by number.
+
+        None for one that is gone.
+        """
         before = set(self._views)
         self._views = {}
         owners: defaultdict[int, list[int]] = defaultdict(list)
@@ -97,10 +102,11 @@ class ElementTable:
             yield number, None
 
     def standing(self, kinds: Collection[str]) -> Iterator[tuple[int, str, str, bool | str]]:
-        """Yield what holds of each element now: its number, its kind, a track of the page, and the value.
+        """Yield the facts of each element now: its number, its kind, a track of the page, a value.
 
         Args:
-            kinds: the kinds of elements whose statuses may have changed; other statuses are left out.
+            kinds: the kinds of elements whose statuses may have changed; other statuses are left
+                out.
         """
         for number, (kind, view) in self._views.items():
             if kind in kinds and kind != "attribute":
@@ -109,7 +115,7 @@ class ElementTable:
                 yield number, kind, track, getattr(view, fact)
 
     def explain(self, number: int) -> dict[str, Any]:
-        """Return why an element has its status, what would help, and what is chosen for whom it belongs to."""
+        """Return the reason for an element's status, its remedies, and the choice for its owner."""
         kind, view = self._views[number]
         explained = self._kb.explain(view)
         rows = {
@@ -119,7 +125,10 @@ class ElementTable:
         return rows if kind not in _CHOICES else rows | self.choice(number)
 
     def choice(self, number: int) -> dict[str, Any]:
-        """Return why a function or component has the design or configuration that it has; empty if it has none."""
+        """Return why a function or component has the design or configuration that it has.
+
+        Empty if it has none.
+        """
         kind, view = self._views[number]
         parts, part_kind = _CHOICES[kind]
         if not getattr(view, parts):
@@ -134,7 +143,10 @@ class ElementTable:
         return {"choice": facts | {"alternatives": alternatives}}
 
     def owner(self, number: int) -> int | None:
-        """Return the function of a design or the component of a configuration; None for other elements."""
+        """Return the function of a design or the component of a configuration.
+
+        None for other elements.
+        """
         kind, view = self._views[number]
         if kind == "function design":
             return self.names["function", view.function]
@@ -145,7 +157,7 @@ class ElementTable:
         self._views[number] = kind, view
         return number
 
-    def _relations(self, kind: str, view: Any) -> dict[str, Any]:  # noqa: ANN401  # a view of any kind
+    def _relations(self, kind: str, view: Any) -> dict[str, Any]:  # noqa: ANN401
         def numbers(kind: str, names: Iterable[str]) -> list[int]:
             return [self.names[kind, name] for name in names]
 
@@ -199,7 +211,7 @@ def _selected(views: Mapping[str, Any], parts: Iterable[str]) -> str:
 
 
 def cases(kb: KnowledgeBase, names: Names) -> list[dict[str, Any]]:
-    """Return what would be feasible if one thing were different: at most 60 values and 60 components.
+    """Return what would be feasible if one value or one component were different.
 
     One value of each interval between thresholds is tried: all values in an interval give the same
     statuses. Each component is supposed to have failed, or to have recovered if it has failed.
@@ -332,7 +344,7 @@ def _subjects(event: Event, names: Names) -> list[int]:
 
 
 def _main_changes(event: Event) -> list[Any]:
-    """Return the changes that matter most: actions that became feasible or not, else all elements."""
+    """Return the actions that became feasible or unfeasible, else all changed elements."""
     changes = [change for change in event.changes if change.kind != "constraint"]
     actions = [change for change in changes if change.kind == "action"]
     turned = [change for change in actions if Status.UNFEASIBLE in (change.old, change.new)]

@@ -1,4 +1,4 @@
-"""Makes the rows of a page from a knowledge base and a tree: the same for live pages, reports and recordings."""
+"""Makes the rows of pages, reports and recordings from a knowledge base and a tree."""
 
 import logging
 from collections import deque
@@ -47,22 +47,27 @@ PLANS: Final = 256  # task plans that are remembered, for the same
 
 
 class Recorder:
-    """Writes down what a robot knows and does, as rows; create it in the robot's program before the first tick.
+    """Writes down what a robot knows and does, as rows.
+
+    Create it in the robot's program before the first tick.
 
         recorder = Recorder(kb, tree)
         ...                                  # the robot does its work
         recorder.report("run.html")
 
     Args:
-        tree: the tree that decides, a `TreeRunner` or a py_trees tree; None if there is none. It may change.
+        tree: the tree that decides, a `TreeRunner` or a py_trees tree; None if there is none. It
+            may change.
         title: of the page; by default the name of the model.
         units: of attributes, by name, e.g. {"water_visibility": "m"}.
-        pose: returns the robot's position (x, y, z) [m], world frame, z up; called at most twice a second.
+        pose: returns the robot's position (x, y, z) [m], world frame, z up; called at most twice a
+            second.
         scene: what the map shows: points (n, 2) [m], world frame, by name.
         keep: how many of the newest rows to keep; None for all.
-        what_if: whether to work out, whenever news changes a status, what would be feasible if another value had
-            been measured.
-        header: of a run whose adaptations come by `adapted` or as rows, and are not looked for here; has the units.
+        what_if: whether to work out, whenever news changes a status, what would be feasible if
+            another value had been measured.
+        header: of a run whose adaptations come by `adapted` or as rows, and are not looked for
+            here; has the units.
 
     Raises:
         MissionError: `tree` is a behaviour, not a tree that ticks one.
@@ -134,7 +139,7 @@ class Recorder:
         self.rows.put(self.kb.now, "scene", 0, shown)
 
     def put(self, track: str, key: int | str, value: object, time: float | None = None) -> None:
-        """Add a row at a time [s], by default now: of track "signal", "disturbance", "problem" or another of a page."""
+        """Add a row at a time [s], by default now, to a track such as "signal" or "problem"."""
         self.rows.put(self.kb.now if time is None else time, track, key, value)
 
     @property
@@ -191,7 +196,10 @@ class Recorder:
             self._own.settle()
 
     def _look(self, time: float, event: Event | None = None) -> None:
-        """Write rows for what an event has changed of any element, and why; without an event, for all there is."""
+        """Write rows for what an event has changed of any element, and why.
+
+        Without an event, for all there is.
+        """
         kinds: Collection[str] = {change.kind for change in event.changes} if event else KINDS
         if event is None or event.verb == "amend":
             kinds = KINDS
@@ -288,7 +296,7 @@ class Recorder:
         self.put("action", number, shown | _ending(action))
 
     def adapted(self, adaptation: Adaptation) -> None:
-        """Write an adaptation that is in force or has failed, with the chain from cause to effect."""
+        """Write an adaptation that is over, with the chain from cause to effect."""
         self._adapted += 1
         nodes = {} if self._tree is None else self._tree.about
         shown = {
@@ -320,7 +328,7 @@ class Recorder:
         self.put("problem", self._troubles, words)
 
     def elements_of(self, behaviour: Behaviour) -> list[int]:
-        """Return the index of the action that a behaviour is for, in a list that is empty if there is none."""
+        """Return the number of the action of a behaviour in a list, empty if it has none."""
         try:
             action = getattr(behaviour, "action", None)
         except Exception:  # py_trees raises several kinds if a port is not connected yet
@@ -330,7 +338,7 @@ class Recorder:
 
 
 class _TreeRows(VisitorBase):
-    """Writes the statuses of a tree after each tick, and the tree itself whenever it has changed."""
+    """Writes the statuses of a tree after each tick, and the tree when it has changed."""
 
     def __init__(self, recorder: Recorder, tree: BehaviourTree) -> None:
         super().__init__(full=False)
@@ -448,7 +456,8 @@ def _ending(record: RequiredAction | ReconfigurationPlan) -> dict[str, Any]:
 class RunRecorder(Listener):
     """Listens to a mission's run and writes its rows; call `end` after the run.
 
-    If the manager has no knowledge base, one is made here; it hears the same messages, for the statuses and reasons.
+    If the manager has no knowledge base, one is made here; it hears the same messages, for the
+    statuses and reasons.
 
     Args:
         keep: how many of the newest rows to keep; None for all.

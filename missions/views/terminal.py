@@ -1,4 +1,6 @@
-"""The view in a terminal of 80 by 24, e.g. over ssh: tree, statuses, adaptations with reasons, measurements.
+"""The view in a terminal of 80 by 24, e.g.
+
+Over ssh: tree, statuses, adaptations with reasons, measurements.
 
 It shows the same rows as the page: the last row of each track and key.
 """
@@ -39,7 +41,7 @@ _LEVELS: Final = {"info": "blue", "warning": "yellow", "error": "bold red"}
 
 
 class Fold:
-    """What to show now: the last row of each track and key, and the latest values of each measurement."""
+    """The last row of each track and key, and the latest values of each measurement."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -110,7 +112,10 @@ class Fold:
             yield line.append(f"\n{'':11}{adaptation['cause']}", "dim")
 
     def log(self, words: str) -> Iterator[Text]:
-        """Yield what happened, the latest first: time, level and text; only what has the words, if any are given."""
+        """Yield what happened, the latest first: time, level and text.
+
+        Only what has the words, if any are given.
+        """
         entries = []
         for track, level in _LOGGED.items():
             for entry in self.track(track).values():
