@@ -255,7 +255,10 @@ def test_nonsense_is_answered_in_a_word_and_ten_megabytes_of_it_close_the_door(r
 
 
 def test_frozen_page_holds_up_nobody_and_hears_how_much_it_has_missed(rover, view):
-    """One page stops reading; another gets every row; the frozen one is given the present when it reads again."""
+    """One page stops reading; another gets every row.
+
+    The frozen one is given the present when it reads again.
+    """
     host, port = view.url.removeprefix("http://").rstrip("/").split(":")
 
     async def follow():
