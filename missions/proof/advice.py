@@ -23,7 +23,9 @@ def mends(setup: Setup) -> Iterator[tuple[str, Setup]]:
     for place, node in enumerate(rig.nodes):
         for text, mend in _idioms(node, rig.kb):
 
-            def build(kb: KnowledgeBase, senses: Senses, place: int = place, mend: Mend = mend) -> Behaviour:
+            def build(
+                kb: KnowledgeBase, senses: Senses, place: int = place, mend: Mend = mend
+            ) -> Behaviour:
                 nodes = [*setup.build(kb, senses).iterate()]
                 return _put(nodes, nodes[place], mend(nodes[place]))
 

@@ -44,7 +44,9 @@ class Change(NamedTuple):
     def __str__(self) -> str:
         if isinstance(self.to, bool):
             return f"{self.name} {'fails' if self.to else 'recovers'}"
-        return f"{self.name} is stale" if self.to == STALE else f"{self.name} is measured {self.to:g}"
+        return (
+            f"{self.name} is stale" if self.to == STALE else f"{self.name} is measured {self.to:g}"
+        )
 
     def apply(self, kb: KnowledgeBase) -> None:
         """Let it happen."""
@@ -115,7 +117,7 @@ class Environment:
         self.worst = {name: max(self.values[name], key=self.violated(name)) for name in self.values}
         components = [kb.components[name].name for name in setup.failing or kb.components]
         named = {leaf.element.name for leaf in leaves if isinstance(leaf, HasStatus)}
-        self.alike = [(name,) for name in components]
+        self.alike: list[tuple[str, ...]] = [(name,) for name in components]
         if setup.symmetric:
             self.alike = _alike(kb, components, named)
 

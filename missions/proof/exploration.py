@@ -89,8 +89,10 @@ class Exploration:
         self.seconds = 0.0
         self._predicates = [predicate for each in setup.wanted for predicate in each.predicates]
         self._predicates += [setup.goal] if setup.goal else []
-        self._requesters = requests_of(rig.kb).requesters
-        self._memory = Memory([rig.root, Blackboard.storage, requests_of(rig.kb)])
+        requests = requests_of(rig.kb)
+        self._requesters = requests.requesters
+        kept = [requests.requesters, requests.halting, requests.progress]
+        self._memory = Memory([rig.root, Blackboard.storage, *kept])
         self._reached_by: list[tuple[int, Step]] = []
         self._numbers: dict[Situation, int] = {}
         self._settled: dict[Facts, Facts] = {}
@@ -249,7 +251,9 @@ class Exploration:
 
     def _read_tree(self) -> bytes:
         for action in [action for action, requests in self._requesters.items() if not requests]:
-            del self._requesters[action]  # an action that nobody requests is as one that nobody ever did
+            del self._requesters[
+                action
+            ]  # an action that nobody requests is as one that nobody ever did
         return self._memory.read()
 
     def _settle(self, facts: Facts, before: int, step: Step) -> Facts:

@@ -10,7 +10,6 @@ import types
 import weakref
 from collections import deque
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from enum import Enum
 from io import BytesIO
 from typing import Any, Final
@@ -33,7 +32,7 @@ _FIXED: Final = (
 """Not part of the state: what cannot change, and the knowledge base, whose facts are read apart."""
 _IGNORED: Final = {
     *("iterator", "feedback_message", "logger", "id", "tick", "stop", "update", "initialise"),
-    *("terminate", "save_progress", "restore_progress", "finish_time", "plans", "advanced_at"),
+    *("terminate", "save_progress", "restore_progress", "finish_time", "plans"),
     *("_since", "_halting_since", "_saved_s", "last_event", "reasons", "_planned"),
 }
 """Attributes that decide nothing: functions, texts, records, and times by a clock that stands still."""
@@ -54,12 +53,12 @@ class Memory:
         pending = [*roots]
         while pending:
             each = pending.pop()
-            if type(each) not in _ATOMS and id(each) not in self.numbers and not is_fixed(type(each)):
+            if type(each) not in _ATOMS and not is_fixed(each) and id(each) not in self.numbers:
                 pending += self._add(each)
 
     def _add(self, each: object) -> list[object]:
         """Add an object and return those that it refers to."""
-        attributes = dict(_attributes(each))
+        attributes = _attributes(each)
         self.numbers[id(each)] = len(self.objects)
         self.objects.append(each)
         if isinstance(each, _CONTAINERS) or (attributes and not isinstance(each, tuple)):
@@ -82,7 +81,9 @@ class Memory:
         try:
             writer.dump([_content(each) for each in self._stateful])
         except (TypeError, AttributeError, pickle.PicklingError) as error:
-            raise MissionError(f"no state holds what came to be while the tree ran: {error}") from error
+            raise MissionError(
+                f"no state holds what came to be while the tree ran: {error}"
+            ) from error
         state = text.getvalue()
         return self._states.setdefault(state, state)
 
@@ -98,7 +99,7 @@ class Memory:
                 each.extend(content)
             else:
                 names = content[0].split()
-                for name in {name for name, _ in _attributes(each)}.difference(names):
+                for name in _attributes(each).keys() - names:
                     object.__delattr__(each, name)
                 for name, value in zip(names, content[1:], strict=True):
                     object.__setattr__(each, name, value)
@@ -118,7 +119,7 @@ class _Writer(pickle.Pickler):
         memory = self._memory
         if (number := memory.numbers.get(id(value))) is not None:
             return ("object", number)
-        if is_fixed(type(value)):
+        if is_fixed(value):
             return ("fixed", memory.fixed.setdefault(value, len(memory.fixed)))
         if isinstance(value, Mapping):
             return ("dict", sorted(value.items(), key=repr))
@@ -138,10 +139,9 @@ class _Reader(pickle.Unpickler):
         return self._kinds[kind](content) if kind in self._kinds else self._objects[kind][content]
 
 
-@functools.cache
-def is_fixed(kind: type) -> bool:
-    """Tell whether values of a type are no part of the state."""
-    return issubclass(kind, _FIXED) or kind.__module__.partition(".")[0] == "kb"
+def is_fixed(value: object) -> bool:
+    """Tell whether a value is no part of the state."""
+    return isinstance(value, _FIXED) or type(value).__module__.startswith("kb.")
 
 
 def _content(each: Any) -> Any:  # noqa: ANN401  # any object of a program
@@ -155,27 +155,15 @@ def _content(each: Any) -> Any:  # noqa: ANN401  # any object of a program
         if isinstance(each, Composite) and _is_forgetful(each):
             each.current_child = None
     attributes = _attributes(each)
-    return [" ".join(name for name, _ in attributes), *(value for _, value in attributes)]
+    return [" ".join(attributes), *attributes.values()]
 
 
-def _attributes(each: Any) -> list[tuple[str, Any]]:  # noqa: ANN401  # any object
-    """Return the attributes of an object that may decide something, including those in slots."""
-    slots, has_state = _slots(type(each))
-    if not has_state and each.__getstate__() is None:
-        return []  # it says itself that it has no state
-    attributes = [*getattr(each, "__dict__", {}).items()]
-    for name in slots:
-        with suppress(AttributeError):  # not set yet
-            attributes.append((name, getattr(each, name)))
-    return [item for item in attributes if item[0] not in _IGNORED]
-
-
-@functools.cache
-def _slots(kind: type) -> tuple[list[str], bool]:
-    """Return the names of the slots of a class, and whether its objects do not say what their state is."""
-    members = [member for base in kind.__mro__ for member in vars(base).items()]
-    slots = [name for name, member in members if isinstance(member, types.MemberDescriptorType)]
-    return slots, "__getstate__" not in vars(kind)
+def _attributes(each: Any) -> dict[str, Any]:  # noqa: ANN401  # any object
+    """Return the attributes of an object that may decide something."""
+    if "__getstate__" in vars(type(each)) and each.__getstate__() is None:
+        return {}  # it says itself that it has no state
+    attributes = getattr(each, "__dict__", {})
+    return {name: value for name, value in attributes.items() if name not in _IGNORED}
 
 
 def _is_forgetful(behaviour: Behaviour) -> bool:

@@ -103,7 +103,9 @@ def notes(explored: Exploration) -> list[str]:
     rig = explored.rig
     requesting = sorted({leaf.name for leaf in rig.requesting})
     if requesting:
-        return [f"{name} requests actions by itself: its requests are followed" for name in requesting]
+        return [
+            f"{name} requests actions by itself: its requests are followed" for name in requesting
+        ]
     done = {node.action for node in rig.doing}
     return [f"{name} is not done by this tree" for name in rig.kb.actions if name not in done]
 
@@ -219,7 +221,9 @@ def _wavering(explored: Exploration) -> Wrong | None:
         onward: dict[int, tuple[Step, int]] = {}
         for number in explored.every:
             for each in explored.following(number):
-                usual = [(name, "R" if "R" in letters[name] else kept) for name, _ in each.step.answers]
+                usual = [
+                    (name, "R" if "R" in letters[name] else kept) for name, _ in each.step.answers
+                ]
                 if not each.step.changes and [*each.step.answers] == usual:
                     onward.setdefault(number, (each.step, each.after))
         visited: set[int] = set()
@@ -251,7 +255,9 @@ def _missing(explored: Exploration) -> Wrong | None:
     if rig.setup.failures:  # without failures, what is there for them cannot occur
         expected += [("function design", name) for name in rig.kb.designs]
         expected += [("configuration", name) for name in rig.kb.configurations]
-    missing = [f"{kind} {name}" for kind, name in expected if (kind, name) not in explored.occurring]
+    missing = [
+        f"{kind} {name}" for kind, name in expected if (kind, name) not in explored.occurring
+    ]
     return (f"never: {', '.join(dict.fromkeys(missing))}", None) if missing else None
 
 

@@ -171,7 +171,7 @@ class Rig(VisitorBase):
         if letter == "S" and (not is_able or (needed and not needed & self.deeds)):
             self.is_caused = False
         if letter != "F" and is_able and not isinstance(leaf, Condition):
-            effects = self.setup.causes.effects.get(action, frozenset())
+            effects = self.setup.causes.effects.get(action, set[str]())
             self.deeds |= self._asked.intersection({leaf.name, action, *effects})
             if letter == "S":
                 goal = self.setup.causes.goal.intersection(effects)
@@ -357,7 +357,7 @@ class Rig(VisitorBase):
         actions = self.kb.actions
         limits = {limit.attribute for name in wanted for limit in actions[name].constraints}
         own = {limit.attribute for limit in actions[action].constraints}
-        enabled = self.setup.causes.enables.get(action, frozenset())
+        enabled = self.setup.causes.enables.get(action, set[str]())
         helps = enabled & wanted or self._restored(action) & limits
         return action not in wanted and bool(helps or any(map(self.is_quality, limits - own)))
 

@@ -202,7 +202,9 @@ def consequences(explored: Exploration) -> list[Consequence]:
     alike = {Change(group[0], True): group[1:] for group in environment.alike}
     single = [*alike, *(Change(name, value) for name, value in environment.worst.items())]
     caused = set(explored.caused())
-    rows = [replace(_consequence(explored, (bad,), caused), alike=alike.get(bad, ())) for bad in single]
+    rows = [
+        replace(_consequence(explored, (bad,), caused), alike=alike.get(bad, ())) for bad in single
+    ]
     lasting = [bad for bad, row in zip(single, rows, strict=True) if row.reaches == "the goal"]
     pairs = [_consequence(explored, pair, caused) for pair in combinations(lasting, 2)]
     return [*rows, *(pair for pair in pairs if pair.reaches == "nothing")]
