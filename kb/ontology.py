@@ -17,6 +17,7 @@ import time
 from ast import literal_eval
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import fields
 from functools import partial
 from io import BytesIO
@@ -51,6 +52,9 @@ RECORDS: Final = 1000
 _OWL: Final = "http://www.w3.org/2002/07/owl#"
 _RDFS: Final = "http://www.w3.org/2000/01/rdf-schema#"
 _XSD: Final = "http://www.w3.org/2001/XMLSchema#"
+
+
+_LOCK: Final = RLock()  # owlready2 serves one thread at a time, whatever the world
 
 
 class Individual(NamedTuple):
@@ -255,6 +259,7 @@ class _Graph:
         self._things: dict[str, Any] = {}
         self.written: dict[tuple[str, str], Mapping[str, Any]] = {}
         declare_words(self.ontology)
+        self.close = self.world.close
 
     def describe(self, model: facts.Contents) -> Iterator[Individual]:
         """Describe all elements of a model, which thereby get their ids."""
@@ -342,33 +347,28 @@ class _Graph:
 
 def owl_text(model: facts.Contents) -> str:
     """Write a model with ROSA's words as RDF/XML; see `Model.save`."""
-    graph = _Graph(model.name)
-    for individual in graph.describe(model):
-        graph.put(individual)
-    for position, fact in enumerate(model.facts):
-        graph.put(described(fact, f"Fact.{position}", position=position))
-    written = BytesIO()
-    graph.ontology.save(written, format="rdfxml")
-    graph.world.close()
-    return written.getvalue().decode()
+    with _LOCK, closing(_Graph(model.name)) as graph:
+        for individual in graph.describe(model):
+            graph.put(individual)
+        for position, fact in enumerate(model.facts):
+            graph.put(described(fact, f"Fact.{position}", position=position))
+        written = BytesIO()
+        graph.ontology.save(written, format="rdfxml")
+        return written.getvalue().decode()
 
 
 def load_owl(cls: "Callable[[str], ModelT]", paths: Sequence[Path], name: str | None) -> "ModelT":
     """Read one model from one or more OWL files in RDF/XML; see `Model.load`."""
-    graph = _Graph("")
-    try:
+    with _LOCK, closing(_Graph("")) as graph:
         for path in paths:
             _parse(graph.world, path)
-        reader = _Reader(graph)
-        model = cls(name or next(reader.names(), paths[0].stem))
-        reader.declare(model)
-    except ModelFileError:
-        raise
-    except KnowledgeBaseError as error:
-        raise ModelFileError(str(error), ", ".join(map(str, paths))) from None
-    finally:
-        graph.world.close()
-    return model
+        try:
+            reader = _Reader(graph)
+            model = cls(name or next(reader.names(), paths[0].stem))
+            reader.declare(model)
+        except KnowledgeBaseError as error:
+            raise ModelFileError(str(error), ", ".join(map(str, paths))) from None
+        return model
 
 
 def _parse(world: World, path: Path) -> None:
@@ -643,18 +643,17 @@ class Ontology:
 
     def __init__(self, kb: Any) -> None:  # noqa: ANN401  # a knowledge base, which imports this module
         self._kb = kb
-        self._lock = RLock()
         self._live: _Live | None = None
 
     @property
     def world(self) -> World:
         """The world of owlready2, up to date."""
-        with self._lock:
+        with _LOCK:
             live = self._live
             self._live = None  # an interrupt may leave it half written
             if live is None:
                 live = _Live(self._kb.model.name)
-                finalize(self, live.world.close)  # owlready2 holds the classes of an open world
+                finalize(self, live.close)  # owlready2 holds the classes of an open world
             live.update(self._kb)
             self._live = live
             return live.world
@@ -662,7 +661,7 @@ class Ontology:
     def query(self, sparql: str, timeout: float) -> list[tuple[Answer, ...]]:
         """Answer a query; see `KnowledgeBase.query`."""
         end = time.monotonic() + timeout
-        with self._lock:
+        with _LOCK:
             world = self.world
             database = world.graph.db
             database.set_progress_handler(lambda: time.monotonic() > end, 1000)
