@@ -16,7 +16,7 @@ from kb import KnowledgeBase, Model
 from missions.baselines import open_run
 from missions.engine.mission import MissionError, find_mission
 from missions.engine.runner import Listener
-from missions.experiments.campaign import FILE, read_store
+from missions.experiments.results import FILE, Results
 from missions.views.output import as_json, summary
 
 CAMPAIGN = """
@@ -206,13 +206,13 @@ def campaign(folder, *options, most_bytes=None):
 
 
 def tables(folder):
-    return {name: (folder / name).read_bytes() for name in ("runs.csv", "reactions.csv")}
+    return {name: (folder / name).read_bytes() for name in ("runs.csv", "runs.json")}
 
 
 def kept(folder):
     """Return the records of a campaign that is perhaps about to begin, by the names of runs."""
     try:
-        return {record["run"]: record for record in read_store(folder).records}
+        return {record["run"]: record for record in Results(folder).records}
     except MissionError:
         return {}
 
