@@ -365,7 +365,8 @@ def _reading(state: State, attribute: Node, now: float) -> str:
     value, time = state.value.get(attribute), state.time.get(attribute)
     if value is None:
         return f"{attribute.name} is not measured"
-    shown = reading(value, state.network.thresholds(attribute).around(value), attribute)
+    thresholds = [constraint.element.value for constraint in attribute.constraints]
+    shown = reading(value, thresholds, attribute)
     if attribute in state.stale:
         return f"{attribute.name} {shown} {staleness(time, attribute, now)}"
     return f"{attribute.name} is {shown} ({_age(time, now)})"

@@ -802,7 +802,13 @@ class Ontology:
         """Yield the records that are new or have not ended."""
         kb = self._kb
         history = kb.history
-        for table in (kb.plans, history.actions, kb.processes, history.attempts, history.answers):
+        for table in (
+            kb.plans,
+            history.actions,
+            history.processes,
+            history.attempts,
+            history.answers,
+        ):
             for position, record in enumerate(table[-_MOST_RECORDS:]):
                 word = CLASSES[type(record)]
                 number = getattr(record, "serial", 0) or getattr(record, "number", position)

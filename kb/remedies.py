@@ -287,7 +287,7 @@ def _is_outside(state: State, attribute: Node, interval: Interval) -> bool:
         return True
     return any(
         state.verdict(one) is Status.VIOLATED and _wanted(one, Status.VIOLATED).covers(interval)
-        for one in state.network.thresholds(attribute).debounced
+        for one in attribute.debounced
     )
 
 

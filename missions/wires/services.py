@@ -162,7 +162,7 @@ class RosaServices:
         return {"component_process": part}
 
     def _processes(self, _: Message) -> Message:
-        active = [process for process in self._kb.processes if process.end is None]
+        active = [process for process in self._kb.history.processes if process.end is None]
         return {"component_process": [self._process(process) for process in active]}
 
     def _get(self, kind: str, request: Message) -> Message:

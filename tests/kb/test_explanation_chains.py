@@ -31,7 +31,9 @@ def after(story):
     for event in happenings:
         twins.happen(event)
     state = state_of(twins.kb)
-    nodes = [node for node in state.network.nodes if node.kind not in ("attribute", "constraint")]
+    nodes = [
+        node for node in state.network.present() if node.kind not in ("attribute", "constraint")
+    ]
     assume(nodes)
     return state, nodes
 
@@ -59,7 +61,7 @@ def disturbed(data, state, chain):
     attributes = {one.measurement.attribute for _, one in chain if one.measurement}
     overlay, network = state.copy(), state.network
     overlay.touch(network.present())
-    for node in network.nodes:
+    for node in network.present():
         if node.kind == "attribute":
             if node.name not in attributes:
                 value = data.draw(st.sampled_from((None, -0.5, 0.25, 0.75, 1.5)))

@@ -112,7 +112,7 @@ def what_is_wrong(chance):
     for component in network.components.values():
         if chance.randint(0, 3) == 0:
             state.failed.add(component)
-    nodes = [node for node in network.nodes if node.kind != "attribute"]
+    nodes = [node for node in network.present() if node.kind != "attribute"]
     for _ in range(chance.randint(0, 2)):
         node = chance.choice(nodes)
         state.asserted[node] = chance.choice(STATUSES[node.kind])
@@ -146,7 +146,7 @@ def worlds(state):
     """Every world that differs from a state in measurements and repairs, as what differs and its statuses."""
     network = state.network
     repairs = []
-    for node in network.nodes:
+    for node in network.present():
         asserted = state.asserted.get(node)
         if asserted in (Status.UNFEASIBLE, Status.VIOLATED):
             repairs.append(Repair("retracted", node.element))
@@ -205,7 +205,7 @@ def test_remedies_come_smallest_first_and_say_each_thing_once(chance):
         )
         assert len(set(found)) == len(found)
         assert remedies(state, node)[0] == found
-    for node in state.network.nodes:
+    for node in state.network.present():
         if node not in unfeasible and node.kind != "attribute":
             assert remedies(state, node) == ((), True)
 

@@ -44,7 +44,7 @@ def test_an_element_is_possible_exactly_within_its_boxes(model):
     for numbers in product(GRID, repeat=len(model.attributes)):
         values = dict(zip(model.attributes, numbers, strict=True))
         state = measured(network, values)
-        for node in network.nodes:
+        for node in network.present():
             if node.kind == "attribute":
                 continue
             found = requirements.of(node)
@@ -65,7 +65,7 @@ def test_no_box_lies_within_another(model):
 @given(models(), st.integers(1, 3))
 def test_a_limit_leaves_boxes_that_are_right_and_says_that_there_are_more(model, limit):
     network = Network(model)
-    for node in network.nodes:
+    for node in network.present():
         if node.kind == "attribute":
             continue
         every, some = alternatives(node), alternatives(node, limit=limit)
