@@ -247,7 +247,8 @@ def situation(
             doing = base.forecast.doing(None).union(requested)
             for name, node in network.attributes.items():
                 if name not in values:
-                    suppose_forecast(state, node, base.forecast.at(name, then, now, doing))
+                    course = base.forecast.course(name, now, doing)
+                    suppose_forecast(state, node, course(then))
         state.infer()
     return Situation(state, then, base.forecast)
 

@@ -146,6 +146,11 @@ class Life:
         elif what == 9 and kb.pending_plan:
             yield from self.carrying_out(kb.pending_plan)
         elif what == 10:
+            if kb.plans:
+                given = {"exposure": chance.random(), "topics": ["a", "b"], "on": True, "n": 3}
+                command = kb.plans[-1], "camera", "configure", "day", given
+                yield kb.record_attempt, *command
+                yield kb.finish_attempt, kb.history.attempts[-1], "completed"
             yield (
                 (kb.component_started, "lidar", chance.randrange(1000))
                 if chance.random() < 0.5
