@@ -43,7 +43,6 @@ from kb.elements import (
     Estimation,
     EstimationKind,
     Expression,
-    ForecastFunction,
     Function,
     FunctionDesign,
     Rate,
@@ -81,7 +80,7 @@ class Measured(TypedDict, total=False):
     unit: str
     low: float
     high: float
-    forecasting: str | ForecastFunction
+    forecasting: str
     rates: Sequence[Rate]
 
 

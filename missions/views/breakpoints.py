@@ -105,12 +105,12 @@ class Breakpoints:
 
     def watch(self, rows: Rows) -> None:
         """Hear the rows from now on; what holds already meets no breakpoint."""
-        if self.hear in rows.heard:
+        if self.hear in rows.listeners:
             return
         latest, _ = rows.snapshot()
         for row in latest:
             self.hear(row)
-        rows.heard.append(self.hear)
+        rows.listeners.append(self.hear)
 
     def hear(self, row: Row) -> None:
         """Take in a row: (time, track, key, value)."""

@@ -27,7 +27,7 @@ from missions.engine.runner import Listener, MissionRun
 from missions.views.breakpoints import Breakpoint, Breakpoints, read_breakpoints
 from missions.views.facts import supposed
 from missions.views.recorder import Recorder
-from missions.views.report import VERSION, encoded, page_of
+from missions.views.report import encoded, page_of
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -225,8 +225,7 @@ class LiveView(AbstractContextManager["LiveView"]):
         self.recorder.header["live"] = True
         if steering is not None:
             steering.breakpoints.watch(self.recorder.rows)
-        live = {"socket": f"/ws{query}"}
-        document = {"version": VERSION, "runs": [], "differences": [], "live": live, "note": ""}
+        document = {"run": None, "live": {"socket": f"/ws{query}"}, "note": ""}
         self._page = page_of(document, str(self.recorder.header["title"]))
         self._rows = self.recorder.rows
         self._pages: dict[_Page, None] = {}
