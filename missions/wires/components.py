@@ -6,7 +6,6 @@ from collections.abc import Callable, Generator
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Final
 
 from kb import ComponentKind, KnowledgeBase, Status
 from kb.elements import Parameters
@@ -36,6 +35,7 @@ class _Watch:
         commands: the commands under way, during which it is not polled.
         silence: why a command found that it does not answer.
         is_published: whether somebody publishes its transitions.
+        is_changing: whether one was published since it was asked.
     """
 
     place: str
@@ -47,6 +47,7 @@ class _Watch:
     commands: set[Future[None]] = field(default_factory=set)
     silence: str = ""
     is_published: bool = False
+    is_changing: bool = False
     is_lost: bool = False
 
 
@@ -159,7 +160,9 @@ class RosComponents:
             if watch.poll is not None and watch.poll.done():
                 self._take(component, watch, watch.poll)
                 watch.poll = None
-            if watch.poll is None and now >= watch.asked_s + self._settings.poll_s:
+            is_due = watch.is_changing or now >= watch.asked_s + self._settings.poll_s
+            if watch.poll is None and is_due:
+                watch.is_changing = False
                 watch.asked_s = now
                 watch.poll = self._state_call(watch)
 
@@ -168,7 +171,7 @@ class RosComponents:
 
     def _ask(self, watch: _Watch, _: Message) -> None:
         """Ask for the state at once, as a transition is going on; its events may come late."""
-        watch.asked_s = -math.inf
+        watch.is_changing = True
 
     def _state_call(self, watch: _Watch) -> Reply:
         """Ask a node for its state; it is overdue when the node has been silent for too long."""

@@ -96,7 +96,7 @@ def write_in_chunks(path: Path, recorded: Iterable[Raw]) -> None:
         records.finish()
 
 
-class McapFile(AbstractContextManager["McapFile"]):
+class McapFile:
     """An MCAP file that grows with each message; if it is cut off, it can be read up to there.
 
     `close` rewrites it in chunks with an index. A thread of its own encodes and writes, so a disk
@@ -208,9 +208,6 @@ class McapFile(AbstractContextManager["McapFile"]):
         reason = getattr(error, "strerror", None) or error
         return MissionError(f"cannot write {self.path}: {reason}")
 
-    def __exit__(self, *reason: object) -> None:
-        self.close()
-
 
 class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
     """Records a robot: the events of its knowledge base, its tree, and the other rows of a report.
@@ -292,7 +289,9 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         self._write(EVENTS, ros.STRING, event.time, ros.json_text, event.to_json())
         if event.verb == "measure":
             value = float(event.arguments[1])
-            self._write(f"/attributes/{event.subject}", ros.FLOAT, event.time, dict, data=value)
+            self._write(
+                f"/attributes/{event.subject}", ros.FLOAT, event.time, dict, {"data": value}
+            )
         elif event.kind in _LOGGED or event.verb == "component_failed":
             self._write(LOG, ros.LOG, event.time, ros.log_of, event)
 
@@ -303,14 +302,13 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         self._write(ROWS, ros.STRING, time_s, ros.json_text, row)
         if track == "pose":
             self._write("/pose", ros.POSE, time_s, ros.pose, time_s, value)
-            self._write("/tf", ros.TF, time_s, ros.transform, time_s, value)
 
     def _tick(self, tree: BehaviourTree) -> None:
         now = float(self._kb.now)
         if self._tree is None or not self._tree.shows(tree.root):
             self._tree = NumberedTree(tree.root)
             self._statuses = dict.fromkeys(self._tree.numbers.values(), "IDLE")
-            self._write("/behavior_tree", ros.STRING, now, dict, data=self._tree.xml)
+            self._write("/behavior_tree", ros.STRING, now, dict, {"data": self._tree.xml})
         changes = []
         for node, number in self._tree.numbers.items():
             before = self._statuses[number]
@@ -378,7 +376,7 @@ def read_bag(path: str | Path) -> Bag:
     """
     bag = Bag()
     counts = Counter[tuple[str, str]]()
-    diagnostics: list[tuple[int, list[Message]]] = []
+    diagnostics: list[tuple[int, list[dict[str, Any]]]] = []
     exact: dict[int, float] = {}  # times before they were rounded to nanoseconds
     for raw in messages(path, bag):
         counts[raw.topic, raw.kind] += 1

@@ -158,7 +158,7 @@ class Node(ABC):
 
     @abstractmethod
     def serve(self, service: str, kind: str, answer: Answer) -> None:
-        """Answer the calls of a service; a function that raises `RosError` refuses the call."""
+        """Answer the calls of a service; one that a function raises for is refused."""
 
     @abstractmethod
     def send_goal(self, action: str, kind: str, goal: Message) -> Goal:

@@ -1,6 +1,5 @@
 """A node of rclpy, where ROS 2 is installed: it comes with ROS 2, pixi or RoboStack."""
 
-import logging
 import re
 import time
 from collections.abc import Callable
@@ -37,20 +36,19 @@ _NAMES: Final = {
     "double": "float64",
     "wstring": "string",
 }
-_log = logging.getLogger(__name__)
 
 
 class Messages(Library):
     """ROS 2's types as the classes of its message packages."""
+
+    byte = staticmethod(lambda value: bytes([value]))
 
     def read_fields(self, kind: str) -> dict[str, Field]:
         types = self.find(kind).get_fields_and_field_types()
         return {name: _field(text) for name, text in types.items()}
 
     def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # an object of rclpy
-        fields = self.fields(kind)
-        native = {name: _native(fields[name], value) for name, value in values.items()}
-        return self.find(kind)(**native)
+        return self.find(kind)(**values)
 
     def find(self, kind: str) -> Any:  # noqa: ANN401  # an object of rclpy
         """Return the class of a message, service or action, or of a part, e.g. TYPE_Request."""
@@ -71,13 +69,9 @@ def _field(text: str) -> Field:
         raise RosError(f"the type {text!r} of a field is not known")
     sequence, name, size = match.groups()
     kind = name.replace("/", "/msg/") if "/" in name else _NAMES.get(name, name)
-    return Field(kind, 0 if sequence else size and int(size))
-
-
-def _native(field: Field, value: Any) -> Any:  # noqa: ANN401  # of a field
-    if field.kind != "byte":
-        return value
-    return bytes([value]) if field.length is None else [bytes([item]) for item in value]
+    if sequence:
+        return Field(kind, 0)
+    return Field(kind, int(size) if size else None)
 
 
 @dataclass(eq=False)
@@ -211,8 +205,12 @@ class RclpyNode(Node):
         return call.reply
 
     def serve(self, service: str, kind: str, answer: Answer) -> None:
-        def respond(request: Any, _: Any) -> Any:  # noqa: ANN401  # an object of rclpy
-            return self._response(kind, answer, request)
+        def respond(request: Any, response: Any) -> Any:  # noqa: ANN401  # an object of rclpy
+            try:
+                return self.types.to_object(f"{kind}_Response", answer(to_message(request)))
+            except Exception as error:  # it must not end the node
+                self.refused.add(error)
+                return response
 
         self._node.create_service(self.types.find(kind), service, respond)
 
@@ -294,16 +292,6 @@ class RclpyNode(Node):
             self._end_call(call, RosError(f"{call.service} failed: {future.exception()}"))
         else:
             self._end_call(call, to_message(future.result()))
-
-    def _response(self, kind: str, answer: Answer, request: Any) -> Any:  # noqa: ANN401  # an object of rclpy
-        """Return the response to a call, an empty one if it fails: ROS 2 has no error response."""
-        try:
-            return self.types.to_object(f"{kind}_Response", answer(to_message(request)))
-        except RosError as error:
-            _log.warning("a call of %s is refused: %s", kind, error)
-        except Exception:  # our own error must not end the node
-            _log.warning("a call of %s could not be answered", kind, exc_info=True)
-        return self.types.new(f"{kind}_Response", {})
 
 
 def _quality(*, is_reliable: bool, is_latched: bool) -> Any:  # noqa: ANN401  # an object of rclpy

@@ -8,8 +8,8 @@ import math
 import re
 from abc import ABC, abstractmethod
 from base64 import b64decode
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, fields, is_dataclass
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
@@ -28,18 +28,15 @@ FLOAT: Final = "std_msgs/msg/Float64"
 LOG: Final = "rcl_interfaces/msg/Log"
 POSE: Final = "geometry_msgs/msg/PoseStamped"
 STRING: Final = "std_msgs/msg/String"
-TF: Final = "tf2_msgs/msg/TFMessage"
 TREE_LOG: Final = "nav2_msgs/msg/BehaviorTreeLog"
 INFO, WARN = 20, 30
 """Severity levels of rcl_interfaces/Log."""
-FRAME, BODY = "map", "base_link"
-"""The world frame (z up) and the robot's frame, named as in REP 105."""
+FRAME: Final = "map"
+"""The world frame, z up, named as in REP 105."""
 _DEFINITIONS: Final = Path(__file__).with_name("definitions.txt")
 """Definitions of the messages and services that `rosbags` does not have."""
 NOTHING: Final = "structure_needs_at_least_one_member"
 """The field that a message without fields has on the wire."""
-_ABOUT: Final = (NOTHING, "__msgtype__")
-"""Fields of classes of messages that are none of the message."""
 _KIND: Final = re.compile(r"\w+/msg/\w+")
 _UPRIGHT: Final = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
@@ -55,6 +52,9 @@ class Field(NamedTuple):
 
 class Library(ABC):
     """A library that has ROS 2's message types as classes."""
+
+    byte: Callable[[int], Any] = int
+    """Makes the value of a field of type byte."""
 
     def __init__(self) -> None:
         self._fields: dict[str, dict[str, Field]] = {}
@@ -99,15 +99,15 @@ class Library(ABC):
             return self.to_object(kind, value)
         if kind in ("float32", "float64"):
             return math.nan if value is None else float(value)
-        return value
+        return self.byte(value) if kind == "byte" else value
 
 
 def to_message(value: Any) -> Any:  # noqa: ANN401  # an object of a library, or a part of it
     """Return a message of a library as a dict, and the values in it as JSON has them."""
     if hasattr(value, "get_fields_and_field_types"):  # rclpy's
         names: Iterable[str] = value.get_fields_and_field_types()
-    elif is_dataclass(value):  # that of `rosbags`
-        names = [field.name for field in fields(value)]
+    elif is_dataclass(value):  # that of `rosbags`; its constants have defaults
+        names = [field.name for field in fields(value) if field.default is MISSING]
     elif isinstance(value, bytes):  # rclpy's byte
         return value[0]
     elif hasattr(value, "tolist"):  # numpy's, or an array
@@ -116,7 +116,7 @@ def to_message(value: Any) -> Any:  # noqa: ANN401  # an object of a library, or
         return [to_message(item) for item in value]
     else:
         return plain(value)
-    return {name: to_message(getattr(value, name)) for name in names if name not in _ABOUT}
+    return {name: to_message(getattr(value, name)) for name in names if name != NOTHING}
 
 
 class Types(Library):
@@ -146,6 +146,10 @@ class Types(Library):
         if "/" in kind:
             return self.new(kind, {})
         return "" if kind == "string" else 0
+
+    def definition(self, kind: str) -> str:
+        """Return the text that defines a type and the types in it, as recordings hold it."""
+        return str(self.store.generate_msgdef(kind, ros_version=2)[0])
 
     def encode(self, kind: str, message: Message) -> bytes:
         return bytes(self.store.serialize_cdr(self.to_object(kind, message), kind))
@@ -273,10 +277,3 @@ def pose(time_s: float, position: Sequence[float]) -> Message:
     """Return a pose at (x, y, z) [m], world frame; upright, as the attitude is not known."""
     place = dict(zip("xyz", position, strict=True))
     return {"header": _header(time_s, FRAME), "pose": {"position": place, "orientation": _UPRIGHT}}
-
-
-def transform(time_s: float, position: Sequence[float]) -> Message:
-    """Return the same pose as a transform from the world frame to the robot's frame."""
-    moved = {"translation": dict(zip("xyz", position, strict=True)), "rotation": _UPRIGHT}
-    header = _header(time_s, FRAME)
-    return {"transforms": [{"header": header, "child_frame_id": BODY, "transform": moved}]}

@@ -23,7 +23,6 @@ from missions.engine.mission import MissionError, needs
 from missions.views.output import plain
 from missions.wires import ros
 from missions.wires.node import (
-    NONSENSE,
     SUCCEEDED,
     TIMEOUT_S,
     Answer,
@@ -60,7 +59,9 @@ class Connection:
         on_message: called with each message, by the thread that reads.
     """
 
-    def __init__(self, link: Callable[[], Any], on_message: Callable[[str | bytes], object]) -> None:
+    def __init__(
+        self, link: Callable[[], Any], on_message: Callable[[str | bytes], object]
+    ) -> None:
         self._link = link
         self._on_message = on_message
         self._news = Condition()
@@ -289,7 +290,7 @@ class Rosbridge(Node):
         def hear(text: str | bytes) -> None:
             try:
                 on_message(_read(text))
-            except NONSENSE as error:
+            except Exception as error:  # of the other side, or our own, which must not end it
                 self.refused.add(error)
 
         return Connection(self._link, hear)
@@ -358,7 +359,10 @@ class Rosbridge(Node):
         elif message["op"] == "service_response":
             self._end_call(self._calls[message["id"]], _answer(message))
         elif message["op"] == "call_service":
-            self._main.send(_response(self._answers[message["service"]], message))
+            service = message["service"]
+            answer = {"values": self._answers[service](message.get("args", {})), "result": True}
+            about = {"op": "service_response", "id": message.get("id"), "service": service}
+            self._main.send({**about, **answer})
 
     def _see(self, action: str, message: Message) -> None:
         """Tell the goals of an action which goals its server has."""
@@ -390,14 +394,3 @@ def _answer(message: Message) -> Message | RosError:
     if message.get("result", True) and isinstance(values, dict):
         return values
     return RosError(f"{message.get('service', 'the service')} failed: {values}")
-
-
-def _response(answer: Answer, message: Message) -> Message:
-    response = {"op": "service_response", "id": message.get("id"), "service": message["service"]}
-    try:
-        return {**response, "values": answer(message.get("args", {})), "result": True}
-    except RosError as error:
-        return {**response, "values": str(error), "result": False}
-    except Exception as error:  # our own error must not end the connection
-        _log.exception("%s could not be answered", message["service"])
-        return {**response, "values": f"{type(error).__name__}: {error}", "result": False}

@@ -31,7 +31,7 @@ class RosaServices:
     """Serves ROSA's services under `/rosa_kb/` from a knowledge base.
 
     Services, types and fields have the original's names; times are ISO 8601, by the knowledge
-    base's clock. Its services that insert elements are not there: models are files.
+    base's clock. Its services that insert elements, or query in TypeQL, are not there.
     """
 
     def __init__(self, kb: KnowledgeBase, node: Node) -> None:
@@ -39,10 +39,9 @@ class RosaServices:
         self._node = node
         missing = []
         for name, kind, answer in self._table():
-            package = "ros_typedb_msgs" if kind == "Query" else "rosa_msgs"
             respond = partial(self._answer, name, answer)
             try:
-                node.serve(f"/rosa_kb/{name}", f"{package}/srv/{kind}", respond)
+                node.serve(f"/rosa_kb/{name}", f"rosa_msgs/srv/{kind}", respond)
             except RosError:  # this type is not installed
                 missing.append(name)
         if missing:
@@ -73,7 +72,6 @@ class RosaServices:
         yield "reconfiguration_plan/get", plan, lambda request: self._plan(self._find_plan(request))
         yield "reconfiguration_plan/get_latest", plan, lambda _: self._plan(self._kb.latest_plan)
         yield "reconfiguration_plan/result/set", plan, self._finish_plan
-        yield "query", "Query", _refuse_query
 
     def _answer(self, name: str, answer: Answer, request: Message) -> Message:
         """Add `success` to an answer; answers have no field for a reason, so `/rosa/log` has it."""
@@ -205,11 +203,6 @@ class RosaServices:
     def _process(self, process: Process) -> Message:
         component = self._element("component", process.component)
         return {"pid": process.pid, **_span(process), "component": component}
-
-
-def _refuse_query(request: Message) -> Message:
-    text = str(request["query"])[:60]
-    raise RosError(f"TypeQL such as {text!r} is not answered; use the other services, or kb.query")
 
 
 def _span(record: ReconfigurationPlan | Process) -> Message:

@@ -10,7 +10,10 @@ from typing import Any, Final
 from missions.engine.mission import MissionError
 from missions.wires.node import TIMEOUT_S
 
-_ITEMS: Final = {"timeouts": ((int, float), "numbers"), "diagnostics": ((str, dict), "texts or tables")}
+_ITEMS: Final = {
+    "timeouts": ((int, float), "numbers"),
+    "diagnostics": ((str, dict), "texts or tables"),
+}
 """What the tables of `bridge.toml` hold; any other one texts."""
 _WORDS: Final = {str: "a text", bool: "true or false", float: "a number"}
 

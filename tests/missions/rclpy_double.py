@@ -193,9 +193,7 @@ class Node:
         return publisher
 
     def create_subscription(self, msg_type, topic, callback, qos_profile):
-        made = SimpleNamespace(
-            msg_type=_message(msg_type), topic=_name(topic), callback=callback
-        )
+        made = SimpleNamespace(msg_type=_message(msg_type), topic=_name(topic), callback=callback)
         made.qos_profile = _quality(qos_profile)
         is_latched = qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
         with _LOCK:
