@@ -69,7 +69,8 @@ class RunTimeline:
         end: time of the end [s].
         times, xy: of the poses: times (n,) [s] and positions (n, 2) [m], world frame.
         places: points (n, 2) [m] by name.
-        lanes: spans by the name of the lane: actions, and what was selected where there was a choice.
+        lanes: spans by the name of the lane: actions, and what was selected where there was a
+            choice.
         courses: measurements (2, n) by name: times [s] and values; `units` by name.
         limits: names of constrained elements by attribute and threshold.
         adaptations, disturbances: as in the page, in order of time.

@@ -1,8 +1,8 @@
 """Reports: a run as a page to click through, and the rows that pages are made of.
 
-A row (time, track, key, value) is an assignment that holds from its time [s] on. A page shows, for an instant, the last
-row of each track and key up to it. A report has all rows of a run, a live page gets the same rows as they come, and a
-recording holds the same rows in a file.
+A row (time, track, key, value) is an assignment that holds from its time [s] on. A page shows, for
+an instant, the last row of each track and key up to it. A report has all rows of a run, a live page
+gets the same rows as they come, and a recording holds the same rows in a file.
 """
 
 import json
@@ -21,7 +21,8 @@ from missions.views.output import OutputFile, plain
 NUMBERED: Final = frozenset(
     {"event", "action", "plan", "taskplan", "adaptation", "whatif", "disturbance", "problem"}
 )
-"""The tracks whose keys are growing numbers, one for each thing that happened; their oldest entries can be dropped."""
+"""The tracks whose keys are growing numbers, one for each thing that happened; their oldest entries
+can be dropped."""
 
 VERBATIM: Final = frozenset(
     {
@@ -38,11 +39,15 @@ VERBATIM: Final = frozenset(
         "adaptation",
     }
 )
-"""The tracks that do not follow from the events of a knowledge base: a recording holds them besides the events."""
+"""The tracks that do not follow from the events of a knowledge base: a recording holds them besides
+the events."""
 
 Row = tuple[float, str, int | str, Any]
 _ENCODER: Final = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-_POLICY: Final = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; connect-src 'self'"
+_POLICY: Final = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "img-src data:; connect-src 'self'"
+)
 """The page makes no requests, except a live page to its own server."""
 
 
@@ -50,7 +55,8 @@ class Rows:
     """The rows of a run, in order; written by one thread at a time, read by any.
 
     Args:
-        keep: how many of the newest rows to keep, besides the last of each track and key; None for all.
+        keep: how many of the newest rows to keep, besides the last of each track and key; None for
+            all.
 
     Attributes:
         first: number of the oldest row that is kept; the first row of all has number 0.
@@ -92,13 +98,16 @@ class Rows:
             listener(row)
 
     def since(self, number: int, most: int | None = None) -> tuple[int, list[Row]]:
-        """Return the number of the first row and the rows from `number` on; later ones if it is no longer kept."""
+        """Return the number of the first row and the rows from `number` on.
+
+        Later ones if it is no longer kept.
+        """
         with self._lock:
             start = min(max(0, number - self.first), len(self._rows))
             return self.first + start, self._rows[start : None if most is None else start + most]
 
     def snapshot(self) -> tuple[list[Row], int]:
-        """Return the last row of each track and key, in order of time, and the number of the next row."""
+        """Return the last row of each track and key by time, and the number of the next row."""
         with self._lock:
             return sorted(self._latest.values(), key=lambda row: row[0]), self.next
 
@@ -136,7 +145,7 @@ class Recorded:
 
 
 def encoded(value: object) -> str:
-    """Return a value as JSON; what JSON cannot hold, such as the odd feedback of a behaviour, is written as text."""
+    """Return a value as JSON; objects that JSON cannot hold are written as text."""
     try:
         text = _ENCODER.encode(value)
     except (TypeError, ValueError):
@@ -157,8 +166,10 @@ def page_of(document: Mapping[str, Any], title: str) -> str:
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
-        f'<title>{escape(title)}</title><link rel="icon" href="data:,"><style>{style}</style></head>\n'
-        f'<body><div id="app"></div>\n<script type="application/json" id="rosa-data">{data}</script>\n'
+        f'<title>{escape(title)}</title><link rel="icon" href="data:,">'
+        f"<style>{style}</style></head>\n"
+        f'<body><div id="app"></div>\n'
+        f'<script type="application/json" id="rosa-data">{data}</script>\n'
         f"<script>{script}</script></body></html>\n"
     )
 

@@ -8,7 +8,6 @@ export const time = signal(0); // the instant shown [s]
 export const isFollowing = signal(false); // whether the instant is that of a mission that still runs
 export const chosen = signal(null); // key of the adaptation
 export const selected = signal(null); // index of the element
-export const isPrinting = signal(false);
 export const start = computed(() => (revision.value, run.value?.start ?? 0));
 export const end = computed(() => (revision.value, Math.max(run.value?.end ?? 0, start.value + 0.001)));
 
