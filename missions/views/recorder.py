@@ -105,8 +105,6 @@ class Recorder:
             if header is not None
             else AdaptationLog(kb, self.adapted, lambda: self._task_plans)
         )
-        if self._own is not None:
-            self._own.news(inf)
         self._elements = ElementTable(kb)
         self._standing: dict[tuple[int, str], bool | str] = {}
         self._events: deque[Event] = deque(maxlen=_REMEMBERED)
@@ -530,7 +528,7 @@ class RunRecorder(Listener):
             for signal, value in sample.signals.items():
                 if _split(signal)[0] not in self._measured:
                     recorder.put("signal", signal, round(value, 4))
-        scenery = run.ask("scenery", self._scene)
+        scenery = run.ask("scenery")
         if tuple(scenery) != self._scene:  # names alone tell that it has changed
             self._scene = tuple(scenery)
             recorder.show(scenery)
