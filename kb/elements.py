@@ -8,7 +8,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from html import escape
@@ -71,13 +71,7 @@ class Rate(NamedTuple):
 
 
 FORECASTS: Final = ("constant", "trend")
-"""The ways in which an attribute can be forecast, beside its rates and functions of one's own."""
-
-ForecastFunction = Callable[[Sequence[tuple[float, float]], float], float | None]
-"""Takes what was measured, as (time [s], value) by time, and a later time [s]; returns the value then, or None."""
-
-FUNCTIONS: Final[dict[str, ForecastFunction]] = {}
-"""The functions that were given as forecasts, by the names under which models speak of them."""
+"""The ways in which an attribute can be forecast, beside its rates."""
 
 
 class Field(NamedTuple):
@@ -153,15 +147,9 @@ def agreement(field: str, name: str, value: object) -> tuple[int, int]:
 
 
 def forecasting(field: str, name: str, value: object) -> str:
-    """Return the name of a way to forecast; a function is registered under its name."""
-    if isinstance(value, str) and (value in ("", *FORECASTS) or ":" in value):
+    if isinstance(value, str) and value in ("", *FORECASTS):
         return value
-    function = f"{getattr(value, '__module__', '')}:{getattr(value, '__qualname__', '<')}"
-    if not callable(value) or "<" in function:  # files could not name it
-        known = f"one of {', '.join(FORECASTS)}, or a function that a module defines by a name of its own"
-        raise ModelError(f"the {field} of {name!r} is {known}; not {shown(value)}")
-    FUNCTIONS[function] = value
-    return function
+    raise ModelError(f"the {field} of {name!r} is {' or '.join(FORECASTS)}, not {shown(value)}")
 
 
 def rates(field: str, name: str, value: object) -> tuple[Rate, ...]:
@@ -504,8 +492,8 @@ class Attribute(Element):
                 f"the range of {self.name!r} holds no number: from {self.low!r} to {self.high!r}"
             )
 
-    def forecast(self, by: str | ForecastFunction) -> None:
-        """State how this attribute is forecast where no rate applies: "constant", "trend" or a function."""
+    def forecast(self, by: str) -> None:
+        """State how this attribute is forecast where no rate applies: "constant" or "trend"."""
         self.model.change(self, forecasting=by)
 
     def changes(

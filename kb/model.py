@@ -43,7 +43,6 @@ from kb.elements import (
     Estimation,
     EstimationKind,
     Expression,
-    ForecastFunction,
     Function,
     FunctionDesign,
     Rate,
@@ -81,7 +80,7 @@ class Measured(TypedDict, total=False):
     unit: str
     low: float
     high: float
-    forecasting: str | ForecastFunction
+    forecasting: str
     rates: Sequence[Rate]
 
 
@@ -283,6 +282,20 @@ class Model:
         if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
             self._owned("what a fact is about", fact.element, Changeable)
         self._facts.append(_checked_fact(self, fact))
+
+    def state(self, cls: type, values: Mapping[str, Any]) -> Changeable | None:
+        """Declare an element, constraint, estimation or fact of a class by its fields."""
+        others = dict(values)
+        if cls is Constraint:
+            return self.constrain(others.pop("constrained"), Expression(**others))
+        if cls is Estimation:
+            return self.add_estimation(**others)
+        if issubclass(cls, Element):
+            declared: Element = self.declare(cls, others.pop("name", ""), **others)
+            return declared
+        fact: Any = cls(**others)
+        self.add_fact(fact)
+        return None
 
     def watch(self, observer: Observer) -> None:
         """Inform an observer of every change from now on; the model holds only a weak reference to it."""
@@ -758,22 +771,12 @@ def _referred(model: Model, reference: Sequence[Any]) -> Any:  # noqa: ANN401  #
 
 def _declare(model: Model, words: str, plain: Mapping[str, Any]) -> Changeable | None:
     """Declare what a row describes; a fact is no element."""
-    cls = _CLASSES[words]
     values = dict(plain)
     for name in {"constrained", "restores"} & values.keys():
         values[name] = [_referred(model, each) for each in values[name]]
     for name in {"causer", "element"} & values.keys():
         values[name] = _referred(model, values[name])
-    if cls is Constraint:
-        return model.constrain(values.pop("constrained"), Expression(**values))
-    if cls is Estimation:
-        return model.add_estimation(**values)
-    if issubclass(cls, Element):
-        declared: Element = model.declare(cls, values.pop("name"), **values)
-        return declared
-    fact: Any = cls(**values)
-    model.add_fact(fact)
-    return None
+    return model.state(_CLASSES[words], values)
 
 
 Amendment = Sequence[Any]

@@ -253,8 +253,8 @@ def suppose(
             doing = base.forecast.doing(None).union(listings["requested"])
             for name, attribute in network.attributes.items():
                 if name not in values:
-                    forecast = base.forecast.at(name, then, now, doing)
-                    suppose_forecast(supposed, attribute, forecast)
+                    course = base.forecast.course(name, now, doing)
+                    suppose_forecast(supposed, attribute, course(then))
         supposed.infer()
     return Situation(supposed, then, base.forecast)
 

@@ -26,8 +26,8 @@ from missions.experiments.campaign import (
 from missions.experiments.learning import learn as learned_from
 from missions.experiments.learning import read_runs
 from missions.experiments.workers import Cluster, Processes, Workers, conduct
-from missions.views import report as page
 from missions.views.console import CampaignProgress
+from missions.views.report import write_report as write_page
 
 
 def campaign(
@@ -122,11 +122,8 @@ def _conduct(
 
 
 def report(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="DIR | RECORDING [RECORDING]", help="A campaign's folder, or one or two runs."
-        ),
+    source: Annotated[
+        Path, typer.Argument(metavar="DIR | RECORDING", help="A campaign's folder, or a recording.")
     ],
     out: Annotated[
         Path | None,
@@ -143,42 +140,23 @@ def report(
         list[str] | None, typer.Option("--figure", help="Of a campaign: compare by these.")
     ] = None,
 ) -> None:
-    """Say what came of a campaign, as report.md and report.html; or show a run, or two side by side, as a page.
+    """Write the report on a campaign, as report.md and report.html, or a recording as a page."""
+    if source.is_file() or source.suffix in (".mcap", ".jsonl"):
+        from missions.wires.mcap import read_page
 
-    A run is a recording, or a page that `rosa run MISSION --report FILE.html` wrote.
-    """
-    if len(sources) > 2:
-        raise MissionError(f"one run is shown, or two beside each other, not {len(sources)}")
-    if (
-        len(sources) == 1
-        and not sources[0].is_file()
-        and sources[0].suffix not in (".html", ".mcap")
-    ):
-        kept = read_store(sources[0])
-        with needs("plot", "the report on a campaign"):
-            import matplotlib  # noqa: F401  # it is found out before anything is written
-            import scipy  # noqa: F401  # found out before anything is written
-        from missions.experiments.report import (
-            write_report as write_campaign,
-        )  # draws: only if there is something
-
-        for path in write_campaign(
-            kept, out or sources[0] / "report", pages=pages, figures=figures or ()
-        ):
-            if path.stem == "report":
-                typer.echo(path)
+        target = out or source.with_suffix(".report.html")
+        write_page(target, read_page(source))
+        typer.echo(target)
         return
-    target = out or sources[0].with_name(f"{'-'.join(one.stem for one in sources)}.report.html")
-    page.write_report(target, *map(_page_of, sources))
-    typer.echo(target)
+    store = read_store(source)
+    with needs("plot", "the report on a campaign"):  # before anything is written
+        import matplotlib  # noqa: F401
+        import scipy  # noqa: F401
+    from missions.experiments.report import write_report
 
-
-def _page_of(path: Path) -> page.Recorded:
-    if path.suffix not in (".mcap", ".jsonl"):
-        return page.read_page(path)
-    from missions.wires.mcap import read_page
-
-    return read_page(path)
+    for path in write_report(store, out or source / "report", pages=pages, figures=figures or ()):
+        if path.stem == "report":
+            typer.echo(path)
 
 
 def learn(

@@ -256,7 +256,7 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         self._statuses: dict[int, str] = {}
         self._open.callback(self._file.close)
         shown = page or Recorder(kb, tree, what_if=False)
-        self._open.callback(shown.rows.heard.remove, self._row)
+        self._open.callback(shown.rows.listeners.remove, self._row)
         if page is None:
             self._open.callback(shown.close)
         header = {
@@ -273,7 +273,7 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
             self._row(row)
         self._file.most = self._file.waiting + WAITING
         self._open.callback(kb.subscribe(self._event))
-        shown.rows.heard.append(self._row)
+        shown.rows.listeners.append(self._row)
         if tree is not None:
             tree.add_post_tick_handler(self._tick)
             self._open.callback(tree.post_tick_handlers.remove, self._tick)

@@ -72,7 +72,7 @@ def odd_models(draw):
             max_age=age,
             when_stale=draw(st.sampled_from(("not evaluated", "violated"))),
             agreement=draw(st.sampled_from(((1, 1), (2, 3), (5, 5)))),
-            forecasting=draw(st.sampled_from(("", "constant", "trend", "robot.sea:view"))),
+            forecasting=draw(st.sampled_from(("", "constant", "trend"))),
             rates=[
                 Rate(draw(FLOATS), draw(TEXTS), draw(st.booleans()))
                 for _ in range(draw(st.integers(0, 2)))

@@ -1,5 +1,6 @@
 """Runs missions as the command line does, for the tests."""
 
+import json
 import sys
 from functools import cache
 from types import ModuleType
@@ -13,6 +14,7 @@ from missions.engine.runner import Listener, MissionRun, RosaRun
 from missions.engine.settings import RunSettings
 from missions.testing import FakeClock, ScriptedManaged
 from missions.views.output import as_json, summary
+from missions.views.report import Recorded
 
 
 class Watcher(Listener):
@@ -75,6 +77,13 @@ def register(monkeypatch, name: str, mission: object) -> None:
     home.MISSION = mission
     monkeypatch.setitem(sys.modules, home.__name__, home)
     monkeypatch.setattr("missions.engine.mission.MISSIONS", {name: f"{home.__name__}:MISSION"})
+
+
+def read_report(path):
+    """Return the run that a report shows."""
+    _, data = path.read_text().split('<script type="application/json" id="rosa-data">')
+    run = json.loads(data.partition("</script>")[0])["run"]
+    return Recorded(run["header"], [tuple(row) for row in run["rows"]])
 
 
 class Field(World):

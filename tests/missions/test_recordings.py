@@ -24,6 +24,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from running import read_report
 from typer.testing import CliRunner
 
 from kb import KnowledgeBase, Model
@@ -322,12 +323,10 @@ def test_recording_of_the_same_run_is_the_same_bytes(drop, tmp_path):
 def test_report_of_a_recording_is_that_of_the_run(tmp_path):
     path, page = tmp_path / "run.mcap", tmp_path / "run.html"
     rosa("run", "uav", "--no-progress", "--record", path, "--report", page)
-    from missions.views.report import read_page as read_report
-
-    ran, recorded = read_report(page), read_page(path)
-    assert recorded.header == ran.header
-    told = [tuple(row) for row in json.loads(json.dumps(recorded.rows)) if row[1] != "whatif"]
-    assert sorted(map(repr, told)) == sorted(repr(row) for row in ran.rows if row[1] != "whatif")
+    run, recorded = read_report(page), read_page(path)
+    assert recorded.header == run.header
+    rows = [tuple(row) for row in json.loads(json.dumps(recorded.rows)) if row[1] != "whatif"]
+    assert sorted(map(repr, rows)) == sorted(repr(row) for row in run.rows if row[1] != "whatif")
 
 
 def test_replay_says_from_when_it_decides_otherwise(drop, tmp_path, monkeypatch):

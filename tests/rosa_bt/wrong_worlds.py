@@ -1,6 +1,5 @@
 """A robot that reacts and one that decides by worth are told the same: forecasts, sensors and clock are wrong."""
 
-import math
 from random import Random
 
 from acting import Act
@@ -16,20 +15,6 @@ class Managed:
     def activate(self, component): ...
     def deactivate(self, component): ...
     def set_parameters(self, component, parameters): ...
-
-
-def biased(samples, time):
-    return samples[-1][1] + 0.3
-
-
-def gloomy(samples, time):
-    return samples[-1][1] - 10.0
-
-
-def mad(samples, time):
-    """Say nonsense, the same for the same past, and nothing now and then."""
-    swing = math.sin(1e4 * (time + samples[-1][1]))
-    return None if swing > 0.9 else samples[-1][1] + 0.5 * swing
 
 
 def model_of(chance):
@@ -49,7 +34,7 @@ def model_of(chance):
     model.actions["mow"].constrain(light >= 0.1)
     model.action("dock")
     for one in attributes:
-        wrong = chance.choice(("constant", "trend", biased, gloomy, mad))
+        wrong = chance.choice(("constant", "trend"))
         rates = [
             Rate(chance.choice((-1.0, -0.03, -0.01, 0.01)), action, chance.random() < 0.5)
             for action in ("", "mow")
