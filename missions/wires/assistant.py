@@ -204,14 +204,17 @@ def serve_http(server: "MCPServer", port: int, token: str) -> None:
         raise MissionError(f"over HTTP an assistant needs a token: {advice}")
     with needs("mcp", "the server for assistants"):
         import uvicorn
-        from starlette.responses import PlainTextResponse
     app = server.streamable_http_app()
     expected = f"Bearer {token}".encode()
-    refusal = PlainTextResponse("a token is needed: Authorization: Bearer TOKEN\n", 401)
+    refusal = b"a token is needed: Authorization: Bearer TOKEN\n"
+    head = {"status": 401, "headers": [(b"content-type", b"text/plain")]}
 
     async def guard(scope: Any, receive: Any, send: Any) -> None:  # noqa: ANN401  # as ASGI has it
         authorization = dict(scope.get("headers") or ()).get(b"authorization", b"")
-        is_refused = scope["type"] == "http" and not compare_digest(authorization, expected)
-        await (refusal if is_refused else app)(scope, receive, send)
+        if scope["type"] == "http" and not compare_digest(authorization, expected):
+            await send({"type": "http.response.start", **head})
+            await send({"type": "http.response.body", "body": refusal})
+        else:
+            await app(scope, receive, send)
 
     uvicorn.run(guard, host="127.0.0.1", port=port, log_level="warning")
