@@ -593,12 +593,6 @@ class KnowledgeBase:
         self._record("finish_plan", (record.number, result), record.cause)
         return True
 
-    @_update
-    def note_no_choice(self, reason: str) -> None:
-        """Give explanations the reason why nothing can be selected for what is required; empty if something can."""
-        text("the reason why nothing can be selected", reason)
-        self._record("note_no_choice", (reason,))
-
     # ---------------------------------------------------------------- told: records
 
     @_update
@@ -1068,4 +1062,4 @@ def _matters(event: Event) -> bool:
         return event.plan is None and bool(event.effects)
     if verb == "finish_plan":
         return bool(event.arguments[1] != "failed")
-    return verb not in RECORDS and verb != "note_no_choice"
+    return verb not in RECORDS

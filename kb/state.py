@@ -202,11 +202,6 @@ class State:
                 for node in nodes:
                     self.give_reason("selected", node, reason if node in self.selected else "")
                     self.give_reason("unselected", node.used_by[0])
-            case "note_no_choice", (reason,):
-                for node in network.functions.values():
-                    self.give_reason("selected", node, reason if self.is_required(node) else "")
-                for node in network.components.values():
-                    self.give_reason("selected", node, reason if self.serves(node) else "")
         self.infer()
 
     def changed(self) -> list[Node]:

@@ -268,7 +268,6 @@ TOLD = {
     "cancel_action": (("a", "failed", "dark"), 3),
     "select": (({"f": "d"}, {"c": "k"}, "told"), 3),
     "finish_plan": ((1, "completed"), 2),
-    "note_no_choice": (("nothing",), 1),
     "record_attempt": ((1, "c", "configure", "k", {"r": 1}, 1), 6),
     "finish_attempt": ((1, "completed", "done"), 3),
     "record_answer": ((1, True, "no"), 3),
