@@ -4,11 +4,45 @@ Written from how its nodes are documented and behave, without a thought of py_tr
 `execute` asks pre-conditions, ticks and runs post-conditions, a parent halts and resets its children by name.
 """
 
+import operator
 import re
 from collections import UserDict
 from xml.etree import ElementTree
 
-from btcpp_script_twin import Thrown, run, truth
+SCRIPT = re.compile(r"(@?\w+) (:?=|\+=|\*=) (!?)(\w+|[\d.]+)(?: (&) (\d+))?")
+CONDITION = re.compile(r"(!?)(@?\w+)(?: ([<>=]+) ([\d.]+))?")
+
+
+class Thrown(Exception):
+    """What BehaviorTree.CPP would throw in the middle of a tick."""
+
+
+def run(code, board):
+    """Run a script of simple assignments, with numbers, names, `!` and `&`."""
+    for statement in code.split("; "):
+        name, sign, negation, text, _, mask = SCRIPT.fullmatch(statement).groups()
+        before = board.get(name)
+        value = float(text) if text[0].isdigit() else board[text]
+        if "." not in text and text.isdigit():
+            value = int(text)
+        if negation:
+            value = float(not value)
+        if mask:
+            value = float(int(value) & int(mask))
+        if sign in ("+=", "*="):
+            value = before + value if sign == "+=" else before * value
+        board[name] = value if before is None else type(before)(value)
+
+
+def holds(code, board):
+    """Tell whether a condition holds: of names, `!`, or a comparison with a number."""
+    negation, name, sign, number = CONDITION.fullmatch(code).groups()
+    value = board[name]
+    if sign:
+        signs = {"==": operator.eq, "<": operator.lt, ">=": operator.ge}
+        return signs[sign](value, float(number))
+    return bool(value) != bool(negation)
+
 
 IDLE, RUNNING, SUCCESS, FAILURE, SKIPPED = "IDLE", "RUNNING", "SUCCESS", "FAILURE", "SKIPPED"
 DONE = (SUCCESS, FAILURE)
@@ -97,7 +131,7 @@ class Node:
         return status
 
     def holds(self, code):
-        return truth(run(code, self.board, self.world.enums))
+        return holds(code, self.board)
 
     def judged(self):
         for rule, verdict in (
@@ -120,7 +154,7 @@ class Node:
     def follow(self, *rules):
         for rule in rules:
             if rule in self.ports:
-                run(self.ports[rule], self.board, self.world.enums)
+                run(self.ports[rule], self.board)
 
     def halt_node(self):
         self.halt()

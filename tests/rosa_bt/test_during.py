@@ -11,7 +11,6 @@ from rosa_bt import (
     BehaviourRegistry,
     IsActionFeasible,
     TreeChangeError,
-    do_until_unfeasible,
     export_xml,
     feasible_then_act,
     first_feasible,
@@ -76,20 +75,6 @@ def test_what_is_begun_needs_only_what_is_left_of_its_time(kb, clock):
     live(kb, clock, tree, 3)
     assert not kb.is_feasible("inspect")
     assert doing(kb) == []
-
-
-def test_task_gives_way_before_it_would_be_cut_off_and_goes_on_when_it_can_be_finished(kb, clock):
-    kb.measure("energy", 0.4)
-    tree = do_until_unfeasible(Act(kb, "inspect"), Act(kb, "charge"), during=20.0)
-    tree.tick_once()
-    assert doing(kb) == ["charge"]
-    live(kb, clock, tree, 1)
-    assert doing(kb) == ["inspect"]  # 0.45 lasts for 20 s
-    live(kb, clock, tree, 5)
-    kb.model.attributes["energy"].changes(-0.05, while_="inspect")  # more than was thought
-    live(kb, clock, tree, 1)
-    assert doing(kb) == ["charge"]
-    assert kb.is_feasible("inspect")
 
 
 def test_first_task_that_can_be_finished_is_done(kb):

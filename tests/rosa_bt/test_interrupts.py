@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import threading
 from itertools import count
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import pytest
 from interrupting import interrupted_at
 from py_trees.behaviours import Running
 from py_trees.common import ParallelPolicy, Status
-from py_trees.composites import Parallel, Selector
+from py_trees.composites import Parallel
 
 import rosa_bt
 from kb import KnowledgeBase, Model
@@ -100,45 +99,6 @@ def test_interrupt_at_any_instruction_of_a_tick_ends_the_action_or_leaves_it_run
     assert every_instruction(case) > 10
 
 
-@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
-def test_interrupt_at_any_instruction_of_a_tick_of_a_runner_leaves_nothing_open(make):
-    def case():
-        kb = KnowledgeBase(rover(), clock=lambda: 0.0)
-        leaves = [make(kb, [Status.RUNNING, Status.FAILURE]), Act(kb, "rest")]
-        runner = TreeRunner(Selector("root", memory=False, children=leaves), clock=lambda: 0.0)
-        runner.tick()
-
-        def check(instruction):
-            assert held(kb) == [] or runner.status is Status.RUNNING, instruction
-            runner.shutdown()
-            assert held(kb) == [], instruction
-            assert not any(
-                one.is_on for one in runner.tree.root.iterate() if isinstance(one, Act)
-            ), instruction
-
-        return runner.tick, check
-
-    assert every_instruction(case) > 100
-
-
-@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
-def test_interrupt_at_any_instruction_of_a_stop_is_made_good_by_the_next(make):
-    def case():
-        kb = KnowledgeBase(rover(), clock=lambda: 0.0)
-        action = make(kb, [])
-        action.tick_once()
-
-        def check(instruction):
-            if action.status is Status.RUNNING:
-                action.stop(Status.INVALID)
-            assert held(kb) == [], instruction
-            assert {one.result for one in kb.history.actions} == {"abandoned"}
-
-        return lambda: action.stop(Status.INVALID), check
-
-    assert every_instruction(case) > 20
-
-
 def test_interrupt_in_the_end_of_one_action_keeps_no_other_from_being_stopped():
     class Rude(Act):
         def terminate(self, new_status):
@@ -155,17 +115,6 @@ def test_interrupt_in_the_end_of_one_action_keeps_no_other_from_being_stopped():
         runner.shutdown()
     assert held(kb) == []
     assert all(one.status is not Status.RUNNING for one in root.iterate())
-
-
-def test_action_that_was_ticked_in_another_thread_is_released_by_the_shutdown_in_this_one():
-    kb = KnowledgeBase(rover(), clock=lambda: 0.0)
-    runner = TreeRunner(Act(kb, "scan"), clock=lambda: 0.0)
-    thread = threading.Thread(target=runner.tick)
-    thread.start()
-    thread.join()
-    assert held(kb) == ["scan"]
-    runner.shutdown()
-    assert held(kb) == []
 
 
 PROGRAM = """

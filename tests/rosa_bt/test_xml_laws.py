@@ -166,7 +166,9 @@ def test_node_passes_on_setup_and_shutdown(tag):
     runner = TreeRunner(root, clock=Clock())
     runner.setup(node="the node")
     runner.tick()
-    running = [node for node in root.iterate() if type(node) is Device and node.status.name == "RUNNING"]
+    running = [
+        node for node in root.iterate() if type(node) is Device and node.status.name == "RUNNING"
+    ]
     assert not running or root.tip() in running
     runner.shutdown()
     assert Device.said == ["the node"] * count + ["shutdown"] * count

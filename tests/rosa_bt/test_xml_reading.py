@@ -2,14 +2,11 @@
 
 import os
 import re
-from pathlib import Path
 
 import pytest
-from py_trees.common import Status
-from xml_leaves import registry_of, trace, wrapped
+from xml_leaves import registry_of, wrapped
 
-from rosa_bt import BehaviourRegistry, RosaBtError, TreeRunner, XmlError, export_xml, load_xml
-from rosa_bt.xml.values import ScriptError
+from rosa_bt import RosaBtError, XmlError, load_xml
 from rosa_bt.xml.elements import MAX_DEPTH, MAX_SIZE
 from rosa_bt.xml.nodes import MAX_NODES
 
