@@ -1,10 +1,7 @@
 """The request of an action is made when a behaviour starts and released exactly once, however it ends."""
 
-import gc
-
 import pytest
-from py_trees.blackboard import Blackboard, Client
-from py_trees.common import Access, Status
+from py_trees.common import Status
 
 from kb import KnowledgeBase, Model, UnknownName
 from rosa_bt import IsActionFeasible, RosaAction
@@ -49,7 +46,7 @@ def kb():
 
 
 def results(kb):
-    return [(one.action, one.result) for one in kb.history.actions]
+    return [(action.action, action.result) for action in kb.history.actions]
 
 
 def test_condition_follows_feasibility_and_gives_the_reason(kb):
@@ -66,7 +63,7 @@ def test_condition_follows_feasibility_and_gives_the_reason(kb):
 
 
 @pytest.mark.parametrize("behaviour", [IsActionFeasible, Scripted])
-def test_unknown_action_is_found_at_construction_and_names_the_nearest(kb, behaviour):
+def test_unknown_action_is_refused_with_the_nearest_name(kb, behaviour):
     arguments = ("x", kb, "scam") if behaviour is IsActionFeasible else (kb, "scam", [])
     with pytest.raises(UnknownName, match="unknown action 'scam'; did you mean 'scan'"):
         behaviour(*arguments)
@@ -79,13 +76,13 @@ def test_unknown_action_is_found_at_construction_and_names_the_nearest(kb, behav
 def test_request_is_made_on_initialise_and_released_at_the_end(kb, ending, result):
     action = Scripted(kb, "scan", [Status.RUNNING, ending])
     action.tick_once()
-    assert [one.action for one in kb.required_actions] == ["scan"]
+    assert [action.action for action in kb.required_actions] == ["scan"]
     action.tick_once()
     assert kb.required_actions == ()
     assert results(kb) == [("scan", result)]
 
 
-def test_exception_in_update_is_a_failure_with_its_text_and_terminates_once(kb):
+def test_exception_in_update_is_a_failure_with_its_text(kb):
     action = Scripted(kb, "scan", [ValueError("no such thing")])
     action.tick_once()
     assert action.status is Status.FAILURE
@@ -93,7 +90,7 @@ def test_exception_in_update_is_a_failure_with_its_text_and_terminates_once(kb):
     assert action.calls == ["initialise", "update", "terminate FAILURE"]
 
 
-def test_exception_in_terminate_turns_success_into_failure_and_releases_the_request(kb):
+def test_exception_in_terminate_turns_success_into_failure(kb):
     action = Scripted(kb, "scan", [Status.RUNNING, Status.SUCCESS], raises_in_terminate=True)
     action.tick_once()
     action.tick_once()
@@ -102,7 +99,7 @@ def test_exception_in_terminate_turns_success_into_failure_and_releases_the_requ
     assert "cannot let go" in action.feedback_message
 
 
-def test_refused_request_is_a_failure_with_the_reason_and_calls_nothing_of_the_subclass(kb):
+def test_refused_request_is_a_failure_with_the_reason(kb):
     kb.measure("light", 0.1)
     action = Scripted(kb, "scan", [])
     action.tick_once()
@@ -111,29 +108,3 @@ def test_refused_request_is_a_failure_with_the_reason_and_calls_nothing_of_the_s
     assert "initialise" not in action.calls
     assert "update" not in action.calls
     assert kb.history.actions == ()
-
-
-def test_knowledge_base_is_not_kept_alive_by_its_behaviours(kb):
-    import weakref
-
-    own = KnowledgeBase(rover(), clock=lambda: 0.0)
-    Scripted(own, "rest", [Status.SUCCESS]).tick_once()
-    reference = weakref.ref(own)
-    del own
-    gc.collect()
-    assert reference() is None
-
-
-def test_ports_carry_the_action_when_the_constructor_does_not(kb):
-    Blackboard.clear()
-    writer = Client(name="writer")
-    writer.register_key("wanted", access=Access.WRITE)
-    writer.set("wanted", "scan")
-    condition = IsActionFeasible("feasible?", kb)
-    condition.setup_ports({"action": "/wanted"})
-    condition.tick_once()
-    assert condition.status is Status.SUCCESS
-    kb.measure("light", 0.0)
-    condition.tick_once()
-    assert condition.status is Status.FAILURE
-    Blackboard.clear()

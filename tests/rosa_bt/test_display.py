@@ -1,9 +1,7 @@
 """Pictures show every behaviour once, with its status, and why an action cannot be done."""
 
-from functools import partial
 from xml.etree import ElementTree
 
-from py_trees.behaviour import Behaviour
 from py_trees.behaviours import Running
 from py_trees.common import Status
 
@@ -44,18 +42,7 @@ def test_text_shows_statuses_feasibility_and_the_reason_once():
     )
 
 
-class Steps(Behaviour):
-    """Returns one outcome after the other."""
-
-    def __init__(self, name, steps):
-        super().__init__(name)
-        self.steps = iter(steps)
-
-    def update(self):
-        return {"S": Status.SUCCESS, "R": Status.RUNNING}[next(self.steps)]
-
-
-def test_action_that_no_port_gives_yet_or_that_is_misspelt_is_drawn_as_not_known():
+def test_unknown_action_is_drawn_as_not_known():
     kb = mission().children[0].children[0].kb
     registry = BehaviourRegistry(kb=kb)
     text = """<root BTCPP_format="4"><BehaviorTree ID="Main"><IsActionFeasible action="{a}"/></BehaviorTree></root>"""
@@ -69,23 +56,3 @@ def test_action_that_no_port_gives_yet_or_that_is_misspelt_is_drawn_as_not_known
     assert "did you mean 'explore'?" in ascii_tree(tree)
     tree.blackboard["a"] = "charge"
     assert ascii_tree(tree).endswith("(feasible)\n")
-
-
-def statuses_drawn(tree):
-    return [line.partition("[")[2].partition("]")[0] for line in ascii_tree(tree).splitlines()]
-
-
-def test_what_was_reset_before_the_last_tick_is_drawn_as_not_ticked():
-    registry = BehaviourRegistry()
-    outcomes = {"first": "SSR", "second": "SSS", "third": "RSS"}
-    for name, steps in outcomes.items():
-        registry.register(name, partial(Steps, steps=steps))
-    inner = "<Sequence><second/></Sequence>"
-    text = f"""<root BTCPP_format="4"><BehaviorTree ID="Main"><KeepRunningUntilFailure><ReactiveSequence>
-        <first/>{inner}<third/></ReactiveSequence></KeepRunningUntilFailure></BehaviorTree></root>"""
-    tree = load_xml(text, registry)
-    drawn = []
-    for _ in range(3):
-        tree.tick_once()
-        drawn.append("".join(statuses_drawn(tree)[3:]))
-    assert drawn == ["ooo*", "oooo", "*---"]

@@ -72,7 +72,8 @@ class Unruly:
 class Plain(Unruly, Behaviour):
     def __init__(self, name, script, raising):
         super().__init__(name)
-        self.script, self.raising = script, raising
+        self.script = script
+        self.raising = raising
 
 
 class Rash(Sequence):
@@ -97,7 +98,9 @@ class Acting(Unruly, RosaAction):
 
     def __init__(self, kb, action, script, raising, halts):
         super().__init__(action, kb, action)
-        self.script, self.raising, self.halts = script, raising, halts
+        self.script = script
+        self.raising = raising
+        self.halts = halts
 
     def initialise(self):
         halting = [request.owner.action for request in requests_of(self.kb).halting]

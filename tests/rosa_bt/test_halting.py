@@ -31,7 +31,8 @@ class Robot:
     def __init__(self):
         model = Model("rover")
         light = model.environmental_attribute("light")
-        move, see = model.function("move"), model.function("see")
+        move = model.function("move")
+        see = model.function("see")
         move.design("by motor", [model.component("motor")])
         see.design("by camera", [model.component("camera")])
         model.action("inspect", requires=[move], constraints=[light >= 0.5])

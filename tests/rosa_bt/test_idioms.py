@@ -28,7 +28,8 @@ from rosa_bt.composites import unguarded
 
 def drone() -> Model:
     model = Model("drone")
-    light, energy = model.environmental_attribute("light"), model.quality_attribute("energy")
+    light = model.environmental_attribute("light")
+    energy = model.quality_attribute("energy")
     camera = model.component("camera", kind="lifecycle")
     camera.configuration("day", {"exposure_s": 0.01}, priority=1, constraints=[light >= 0.5])
     camera.configuration("night", {"exposure_s": 0.2}, priority=2)
@@ -52,11 +53,11 @@ def kb(clock):
 
 
 def required(kb):
-    return [one.action for one in kb.required_actions]
+    return [action.action for action in kb.required_actions]
 
 
 def history(kb):
-    return [(one.action, one.result) for one in kb.history.actions]
+    return [(action.action, action.result) for action in kb.history.actions]
 
 
 def test_unmodified_behaviour_is_stopped_with_the_reason(kb):
@@ -108,10 +109,8 @@ def test_measurement_that_is_missing_or_stale_counts_as_said(clock):
     model = Model("x")
     model.quality_attribute("energy", max_age=5.0)
     kb = KnowledgeBase(model, clock=clock)
-    strict, lenient = (
-        Measurement("x", kb, "energy", ">", 0),
-        Measurement("x", kb, "energy", ">", 1, unknown=Status.RUNNING),
-    )
+    strict = Measurement("x", kb, "energy", ">", 0)
+    lenient = Measurement("x", kb, "energy", ">", 1, unknown=Status.RUNNING)
     for text in ("energy is not measured", "energy is not measured any more"):
         for condition in (strict, lenient):
             condition.tick_once()
@@ -216,7 +215,10 @@ def test_task_whose_action_left_the_model_gives_way(kb):
 
 
 def analysing_after_inspecting(kb, land):
-    """Prefer inspecting, which needs light here; analyse on the ground otherwise, for which the drone has to land."""
+    """Prefer inspecting, which needs light here.
+
+    Analyse on the ground otherwise, for which the drone has to land.
+    """
     tasks = [Act(kb, "search"), Act(kb, "charge")]
     return switch_safely(first_feasible("mission", tasks), {("search", "charge"): land}), tasks
 
@@ -380,7 +382,8 @@ def test_unguarded_actions_are_named(kb):
         Act(kb, "inspect"),
     ]
     assert unguarded(Sequence("all", memory=True, children=asked)) == []
-    bare, for_another = stubborn(), stubborn()
+    bare = stubborn()
+    for_another = stubborn()
     too_late = Sequence(
         "s", memory=True, children=[IsActionFeasible("?", kb, "search"), stubborn()]
     )

@@ -7,9 +7,7 @@ from pathlib import Path
 
 import pytest
 from interrupting import interrupted_at
-from py_trees.behaviours import Running
-from py_trees.common import ParallelPolicy, Status
-from py_trees.composites import Parallel
+from py_trees.common import Status
 
 import rosa_bt
 from kb import KnowledgeBase, Model
@@ -49,7 +47,10 @@ class Act(RosaAction):
 
 
 def every_instruction(case):
-    """Try a case, which is made anew each time, with an interrupt at each instruction in turn; return how many."""
+    """Try a case, which is made anew each time, with an interrupt at each instruction in turn.
+
+    Return how many.
+    """
     for step in count(1):
         call, check = case()
         if not interrupted_at(step, call, rooms=(OURS, HERE)):
@@ -65,14 +66,12 @@ MAKERS = {
 
 
 def held(kb):
-    return [one.action for one in kb.required_actions]
+    return [action.action for action in kb.required_actions]
 
 
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
 @pytest.mark.parametrize("when", ["first", "next", "success", "failure", "unfeasible"])
-def test_interrupt_at_any_instruction_of_a_tick_ends_the_action_or_leaves_it_running_to_be_stopped(
-    make, when
-):
+def test_interrupt_at_any_instruction_leaves_no_request(make, when):
     def case():
         kb = KnowledgeBase(rover(), clock=lambda: 0.0)
         ends = {
@@ -89,7 +88,7 @@ def test_interrupt_at_any_instruction_of_a_tick_ends_the_action_or_leaves_it_run
             if action.status is Status.RUNNING:
                 action.stop(Status.INVALID)
             assert held(kb) == [], instruction
-            assert all(one.result for one in kb.history.actions), instruction
+            assert all(action.result for action in kb.history.actions), instruction
             kb.measure("light", 1.0)
             action.tick_once()  # and it can be done again
             assert "scan" in held(kb) or action.status is not Status.RUNNING, instruction
@@ -97,24 +96,6 @@ def test_interrupt_at_any_instruction_of_a_tick_ends_the_action_or_leaves_it_run
         return action.tick_once, check
 
     assert every_instruction(case) > 10
-
-
-def test_interrupt_in_the_end_of_one_action_keeps_no_other_from_being_stopped():
-    class Rude(Act):
-        def terminate(self, new_status):
-            raise KeyboardInterrupt
-
-    kb = KnowledgeBase(rover(), clock=lambda: 0.0)
-    policy = ParallelPolicy.SuccessOnAll(synchronise=False)
-    root = Parallel(
-        "all", policy=policy, children=[Rude(kb, "scan"), Act(kb, "rest"), Running("on")]
-    )
-    runner = TreeRunner(root, clock=lambda: 0.0)
-    runner.tick()
-    with pytest.raises(KeyboardInterrupt):
-        runner.shutdown()
-    assert held(kb) == []
-    assert all(one.status is not Status.RUNNING for one in root.iterate())
 
 
 PROGRAM = """
@@ -139,7 +120,7 @@ if sys.argv[2] == "killed":
 
 
 @pytest.mark.parametrize("how", ["ended", "killed"])
-def test_request_of_a_program_that_has_ended_is_settled_with_that_reason(tmp_path, how):
+def test_request_of_an_ended_program_is_abandoned(tmp_path, how):
     store = tmp_path / "rover.sqlite3"
     command = [sys.executable, "-c", PROGRAM, str(store), how]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
@@ -149,7 +130,9 @@ def test_request_of_a_program_that_has_ended_is_settled_with_that_reason(tmp_pat
     kb = KnowledgeBase(model, store=store)
     TreeRunner(Act(kb, "rest"), clock=lambda: 0.0)
     assert held(kb) == []
-    cancelled = [one for one in kb.store.events() + list(kb.log) if one.verb == "cancel_action"]
+    cancelled = [
+        event for event in kb.store.events() + list(kb.log) if event.verb == "cancel_action"
+    ]
     assert {one.arguments for one in cancelled} == {
         ("rest", "abandoned", "the program that requested it has ended")
     }

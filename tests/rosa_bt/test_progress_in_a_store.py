@@ -59,7 +59,7 @@ def path(tmp_path):
 
 
 @pytest.mark.parametrize("is_shut_down", [True, False])
-def test_next_program_goes_on_where_the_one_before_it_ended(path, is_shut_down):
+def test_next_program_goes_on_where_the_last_ended(path, is_shut_down):
     before = Program(path)
     assert before.tick(4) == 4
     if is_shut_down:
@@ -74,7 +74,7 @@ def test_next_program_goes_on_where_the_one_before_it_ended(path, is_shut_down):
     assert Program(path).tick(1) == 1
 
 
-def test_mission_that_begins_anew_in_the_same_program_begins_at_the_beginning(path):
+def test_new_mission_begins_at_the_beginning(path):
     program = Program(path)
     program.tick(4)
     program.runner.shutdown()
@@ -83,12 +83,3 @@ def test_mission_that_begins_anew_in_the_same_program_begins_at_the_beginning(pa
     assert program.kb.history.progress == {}
     assert program.tick(1) == 2
     assert program.kb.history.progress == {("count", "count"): '{"done": 2}'}
-
-
-def test_progress_that_json_cannot_hold_is_kept_in_memory_only_and_said(path):
-    program = Program(path)
-    program.count.save_progress = lambda: {1, 2}
-    program.tick(2)
-    assert "progress is not saved" in program.count.feedback_message
-    assert program.count.status is Status.RUNNING
-    assert program.kb.history.progress == {}

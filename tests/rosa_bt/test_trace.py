@@ -25,7 +25,8 @@ from rosa_bt import (
 
 def rover() -> Model:
     model = Model("rover")
-    light, energy = model.environmental_attribute("light"), model.quality_attribute("energy")
+    light = model.environmental_attribute("light")
+    energy = model.quality_attribute("energy")
     camera = model.component("camera", kind="lifecycle", always_improve=True)
     camera.configuration("day", {"exposure_s": 0.01}, priority=1, constraints=[light >= 0.5])
     camera.configuration("night", {"exposure_s": 0.2}, priority=2)
@@ -150,7 +151,10 @@ def test_file_that_is_no_trace_is_refused_with_its_line(tmp_path, text, message)
 
 
 class Between(Running):
-    """Has another thread tell something, now and then, while it is ticked; of the replay nothing."""
+    """Has another thread tell something, now and then, while it is ticked.
+
+    Of the replay nothing.
+    """
 
     def __init__(self, name, kb, told):
         super().__init__(name)
@@ -206,7 +210,8 @@ class Rude(Running):
 
     def __init__(self, name, when):
         super().__init__(name)
-        self.when, self.count = when, 0
+        self.when = when
+        self.count = 0
 
     def update(self):
         self.count += 1
@@ -237,8 +242,8 @@ def test_trace_goes_on_after_an_interrupted_tick(tmp_path, by_runner):
                 ticked.tick()
         trace = visitor.trace
     assert [tick.is_interrupted for tick in trace.ticks] == [False, False, True, False, True, False]
-    assert [one.what for one in trace.ticks[2].decisions] == ["abandoned"]
-    assert [one.what for one in trace.ticks[3].decisions] == ["requested"]
+    assert [decision.what for decision in trace.ticks[2].decisions] == ["abandoned"]
+    assert [decision.what for decision in trace.ticks[3].decisions] == ["requested"]
     assert [one.verb for one, place in trace.ticks[3].events if place == -1] == ["measure"]
     assert read_trace(tmp_path / "run.jsonl") == trace
     assert replay_trace(trace, rover(), build) == trace
