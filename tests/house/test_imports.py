@@ -72,7 +72,6 @@ LATE = {
 }
 """Slow to import: only inside functions, or in the one module that is itself imported late."""
 LATE_MODULES = {
-    "kb/typeql_syntax.py",
     "missions/views/picture.py",
     "missions/views/terminal.py",
     "missions/testing/plugin.py",
