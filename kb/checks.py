@@ -189,7 +189,7 @@ def _out_of_range(model: Contents) -> Iterator[Finding]:
         attribute = model.attributes[one.attribute]
         if attribute.low == -inf and attribute.high == inf:
             continue
-        possible, wanted = Interval((attribute.low, 0), (attribute.high, 0)), Interval.of(one)
+        possible, wanted = Interval(attribute.low, attribute.high), Interval.of(one)
         is_never = wanted.meet(possible).is_empty
         is_final = (
             not is_never
@@ -230,7 +230,7 @@ def _contradictions(network: Network) -> Iterator[Finding]:
     """
     quick, thorough = Requirements(limit=QUICK), Requirements()
     impossible: dict[Node, None] = {}
-    for node in network.nodes:
+    for node in network.present():
         if node.kind not in ("attribute", "constraint"):
             ways = quick.of(node)
             if (ways if ways.conjunctions or ways.complete else thorough.of(node)) == FALSE:
@@ -314,7 +314,7 @@ def _conflict(node: Node, requirements: Requirements) -> str:
 
 def _needing(part: Node, conjunctions: tuple[Conjunction, ...]) -> str:
     asked = (
-        " and ".join(one.text(name) for name, one in conjunctions[0].intervals.items())
+        " and ".join(one.text(name) for name, one in conjunctions[0].items())
         if len(conjunctions) == 1
         else ""
     )

@@ -57,13 +57,14 @@ COMMANDS: Final = {
     ),
     "store": ("store:app", "Look after the store of a knowledge base."),
 }
-"""The sub-commands: where each is in `missions.commands`, and its help. It is imported only when it is called."""
+"""The sub-commands: where each is in `missions.commands`, and its help. It is imported only when it
+is called."""
 
 
 class Commands(TyperGroup):
     """The group of sub-commands, which lists them without importing them."""
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401  # typer's own click is private
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401  # click is private
         name, _, rest = super().resolve_command(ctx, args)
         module, _, attribute = COMMANDS[str(name)][0].partition(":")
         command = getattr(import_module(f"missions.commands.{module}".rstrip(".")), attribute)

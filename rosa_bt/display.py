@@ -1,4 +1,4 @@
-"""Pictures of a tree, with the feasibility of its actions: as text, for Graphviz, and as SVG.
+"""Pictures of a tree, with the feasibility of its actions: as text, and as SVG.
 
 A picture shows the statuses after the last tick, and for each action what the knowledge base says now.
 """
@@ -58,23 +58,6 @@ def ascii_tree(root: Behaviour) -> str:
         notes = f"  ({'; '.join(row.notes)})" if row.notes else ""
         lines.append(f"{row.lead}{row.title}{notes}\n")
     return "".join(lines)
-
-
-def dot_tree(root: Behaviour) -> str:
-    """Return a tree as a graph in the DOT language of Graphviz, which `dot -Tsvg` draws."""
-    lines = [
-        "digraph tree {",
-        "  rankdir=LR;",
-        '  node [shape=box, style="rounded,filled", fontname="sans-serif"];',
-    ]
-    for number, row in enumerate(_rows(root)):
-        label = "\\n".join(line.replace("\\", "\\\\").replace('"', '\\"') for line in row.lines)
-        lines.append(
-            f'  n{number} [label="{label}", fillcolor="{_FILLS[row.status]}", color="{row.edge}"];'
-        )
-        if row.parent >= 0:
-            lines.append(f"  n{row.parent} -> n{number};")
-    return "\n".join([*lines, "}", ""])
 
 
 def svg_tree(root: Behaviour) -> str:

@@ -155,8 +155,8 @@ TIMED = {
     "retry": (lambda: Retry("again", child("FAILURE", "SUCCESS"), 3, pause=2.0), "RRSRRR"),
     "retry in vain": (lambda: Retry("again", child("FAILURE", "FAILURE"), 2, pause=2.0), "RRFRRR"),
     "retry at once": (lambda: Retry("again", child("FAILURE", "SUCCESS"), 3), "RSRRRR"),
-    "py_trees timer": (lambda: timers.Timer("wait", 3.0), "RRRRSR"),
-    "py_trees timeout": (lambda: decorators.Timeout("at most", child(), 3.0), "RRRRFR"),
+    "py_trees timer": (lambda: timers.Timer("wait", 3.0), "RRRSRR"),
+    "py_trees timeout": (lambda: decorators.Timeout("at most", child(), 3.0), "RRRFRR"),
 }
 
 
@@ -192,7 +192,7 @@ def test_subclass_that_reads_the_computers_clock_is_refused(base):
             return super().update()
 
     root = Mine("m", 3.0) if base is timers.Timer else Mine("m", child(), 3.0)
-    with pytest.raises(TreeChangeError, match=f"derive it from rosa_bt.decorators.{base.__name__}"):
+    with pytest.raises(TreeChangeError, match="derive it from rosa_bt.Timeout or"):
         TreeRunner(root, clock=Clock())
 
 
@@ -203,7 +203,7 @@ def test_tree_from_xml_follows_the_runner_unless_it_was_given_a_clock():
     assert run(stopped, Clock(), 4.0) == "RRRRR"
 
 
-@pytest.mark.parametrize("make", [lambda: Timer("t", 5.0), lambda: timers.Timer("t", 4.0)])
+@pytest.mark.parametrize("make", [lambda: Timer("t", 5.0), lambda: timers.Timer("t", 5.0)])
 def test_clock_that_is_set_back_is_logged_and_followed(make, caplog):
     clock = Clock()
     runner = TreeRunner(make(), clock=clock, period=1.0)

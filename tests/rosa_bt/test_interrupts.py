@@ -200,8 +200,7 @@ def test_request_of_a_program_that_has_ended_is_settled_with_that_reason(tmp_pat
     kb = KnowledgeBase(model, store=store)
     TreeRunner(Act(kb, "rest"), clock=lambda: 0.0)
     assert held(kb) == []
-    cancelled = [one for one in kb.store.events() + list(kb.log) if one.verb == "cancel_action"]
-    assert {one.arguments for one in cancelled} == {
+    assert {(one.action, one.result, one.reason) for one in kb.history.actions} == {
         ("rest", "abandoned", "the program that requested it has ended")
     }
     kb.close()

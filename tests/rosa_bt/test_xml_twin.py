@@ -16,11 +16,12 @@ from test_xml_traces_2 import CASES, TRACES, board_differences, registry_for, su
 from xml_leaves import wrapped
 
 from rosa_bt import load_xml
-from rosa_bt.xml.blackboard import ScriptError
+from rosa_bt.xml.values import ScriptError
 from rosa_bt.xml.nodes import NodeError
 
 TICKS = 20
 ENUMS = {"RED": 1}
+START = {"x": True, "y": False, "n": 3, "d": 0.5, "t": "a", "g": 0}
 MANY = (
     "Sequence",
     "AsyncSequence",
@@ -95,14 +96,9 @@ RULES = (
 class Grower:
     """Writes a random file, and names its leaves."""
 
-    def __init__(self, seed, rules):
-        self.random, self.often, self.leaves, self.trees, self.ports = (
-            Random(seed),
-            rules,
-            {},
-            {},
-            {},
-        )
+    def __init__(self, seed, rules, *, has_ports=True):
+        self.random, self.often, self.has_ports = Random(seed), rules, has_ports
+        self.leaves, self.trees, self.ports = {}, {}, {}
 
     def file(self):
         main = self.node(self.random.randint(1, 4))
@@ -195,7 +191,7 @@ class Grower:
             self.random.choices("SF" if kind == "C" else "SFR", k=self.random.randint(1, 6))
         )
         self.leaves[tag] = (kind, script)
-        ports = self.random.choice(PORTS)
+        ports = self.random.choice(PORTS) if self.has_ports else ""
         outs = {"o": ["int", range(1, 1000)]} if " o=" in ports else {}
         self.ports[tag] = {"in": {"p": "int"} if " p=" in ports else {}, "out": outs}
         return f"<{tag}{ports}{self.rules()}/>"
@@ -340,9 +336,8 @@ def lived(seed, rules, news):
     """Return how long a random tree was ticked until it raised, if it did; it does what its twin does."""
     grower, said = Grower(seed, rules), Random(news)
     text = grower.file()
-    start = {"x": True, "y": False, "n": 3, "d": 0.5, "t": "a", "g": 0}
     told = [
-        start,
+        START,
         *(
             {"x": said.random() < 0.5} if rules and said.random() < 0.5 else {}
             for _ in range(TICKS)
