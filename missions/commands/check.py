@@ -1,12 +1,10 @@
 """`rosa check`, `rosa plan` and `rosa verify`: judge a model, plan, and prove what holds, before a robot leaves."""
 
-import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import typer
 from py_trees.behaviour import Behaviour
@@ -19,8 +17,7 @@ from missions.commands import FAILED, UNFINISHED, complain, open_console, tree_b
 from missions.engine.mission import Mission, MissionError, Percepts, built, find_mission
 from missions.engine.question import Answer, answer, ask, certified
 from missions.engine.task_layer import mission_domain
-from missions.proof.exploration import Exploration
-from missions.proof.verification import as_test, prove, setup_of
+from missions.proof.verification import prove, setup_of
 from missions.views.output import as_json, open_files
 from missions.views.plan import (
     as_data,
@@ -40,8 +37,6 @@ COLOURS = {"error": "red", "warning": "yellow"}
 Judged = tuple[str, Sequence[Finding]]
 Uses = list[tuple[str, str]]
 """Names of actions, each with the place that uses it; an empty name is one that a tree gets only when it runs."""
-_IMPORTS: Final = "from missions.engine.mission import find_mission\nfrom missions.proof.verification import setup_of"
-"""The first lines of a test that `rosa verify --test` writes."""
 
 
 def check(
@@ -372,10 +367,6 @@ def verify(
         int, typer.Option(min=0, help="How many components may have failed at once.")
     ] = 1,
     at_once: Annotated[int, typer.Option(help="How many facts may change between two ticks.")] = 1,
-    slow: Annotated[bool, typer.Option("--slow", help="The manager may miss its turn.")] = False,
-    reaction: Annotated[
-        int, typer.Option(help="Ticks after which nothing unfeasible may be requested.")
-    ] = 1,
     exclusive: Annotated[
         list[str] | None, typer.Option(metavar="A,B", help="Actions that exclude each other.")
     ] = None,
@@ -388,21 +379,19 @@ def verify(
     report: Annotated[
         Path | None, typer.Option(help="Write a page: the first story, or the way to the goal.")
     ] = None,
-    test: Annotated[
-        Path | None, typer.Option(help="Write the first story as a test for pytest.")
-    ] = None,
 ) -> None:
     """Verify a mission's tree. Exit 0: all properties hold; 1: one is violated; 3: not finished."""
-    options: dict[str, Any] = {"failures": failures, "at_once": at_once, "slow": slow}
-    setup = setup_of(find_mission(mission), **options)
     groups = [[*map(str.strip, group.split(","))] for group in exclusive or ()]
-    files = open_files({"json": json, "report": report, "test": test})
-
-    def explore(explored: Exploration) -> None:
-        with _interruptible(explored):
-            explored.explore(most, seconds)
-
-    proof = prove(setup, explore, reaction=reaction, exclusive=groups, suggest=suggest)
+    setup = setup_of(
+        find_mission(mission),
+        failures=failures,
+        at_once=at_once,
+        exclusive=groups,
+        most=most,
+        seconds=seconds,
+    )
+    files = open_files({"json": json, "report": report})
+    proof = prove(setup, suggest=suggest)
     typer.echo(f"{mission}: {proof}")
     rows = [
         (" and ".join(each.facts), each.reaches, ", ".join(each.actions))
@@ -416,32 +405,9 @@ def verify(
         files["json"].finish(as_json(proof.as_data()))
     if report is not None:
         proof.report(report)
-    shown = proof.shown
-    if "test" in files and shown is not None:
-        arguments = ", ".join(f"{name}={value}" for name, value in options.items())
-        made = f"setup_of(find_mission({mission!r}), {arguments})"
-        files["test"].finish(as_test(f"{_IMPORTS}\n{made}", shown))
-    elif "test" in files:
-        why = "no story shows what is broken" if proof.broken else "nothing is broken"
-        typer.echo(f"{why}: no test is written")
     if proof.broken:
         raise typer.Exit(FAILED)
     if not proof.explored.is_finished:
         fewer = ", or look for fewer failures at once with --failures" if failures else ""
         typer.echo(f"not finished, and nothing is broken so far: raise --seconds or --most{fewer}")
         raise typer.Exit(UNFINISHED)
-
-
-@contextmanager
-def _interruptible(found: Exploration) -> Iterator[None]:
-    """Let Ctrl-C end the exploration, so that what was found is shown and kept; a second one ends the program."""
-
-    def stop(*_: object) -> None:
-        found.stop()
-        signal.signal(signal.SIGINT, before)
-
-    before = signal.signal(signal.SIGINT, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)

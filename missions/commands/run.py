@@ -12,7 +12,7 @@ from rich.console import Console
 
 from missions.baselines import open_run
 from missions.commands import FAILED, MISSION, assignments, open_console
-from missions.engine.faults import FORMS, inject, read_fault
+from missions.engine.faults import FORMS, read_fault
 from missions.engine.mission import MissionError, Verdict, find_mission, needs
 from missions.engine.recording import LineRecorder, header
 from missions.engine.runner import MissionRun, RosaRun
@@ -127,8 +127,7 @@ def run(
         paths = {"json": json, "plot": plot, "report": report, "timing": timing}
         files = open_files(paths | {"record": None if is_mcap else record})
         opened = open_run(chosen, manager=manager, task=task, seed=seed, settings=changed)
-        if faults:
-            inject(opened, *faults)
+        opened.faults.add(*faults)
         if speed is None:
             speed = 1.0 if realtime or is_shown else 0.0
         steering = Steering(speed)

@@ -130,10 +130,7 @@ def test_request_of_an_ended_program_is_abandoned(tmp_path, how):
     kb = KnowledgeBase(model, store=store)
     TreeRunner(Act(kb, "rest"), clock=lambda: 0.0)
     assert held(kb) == []
-    cancelled = [
-        event for event in kb.store.events() + list(kb.log) if event.verb == "cancel_action"
-    ]
-    assert {one.arguments for one in cancelled} == {
+    assert {(action.action, action.result, action.reason) for action in kb.history.actions} == {
         ("rest", "abandoned", "the program that requested it has ended")
     }
     kb.close()
