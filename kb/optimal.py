@@ -123,10 +123,8 @@ class OptimalPlanner:
         if self._is_due(kb):
             optimum = self.latest = self.optimum(kb)
         why_none = optimum.reason if optimum is not None and optimum.choice is None else ""
-        if why_none != self._last.get(kb, ({}, ""))[1]:
-            kb.note_no_choice(why_none)
-            if why_none:
-                _log.warning("nothing can be selected: %s", why_none)
+        if why_none and why_none != self._last.get(kb, ({}, ""))[1]:
+            _log.warning("nothing can be selected: %s", why_none)
         choice = _choice(kb, optimum)
         plan = None if choice is None else kb.select(*choice)
         self._last[kb] = weights, why_none  # last, so that an interrupted choice is repeated
