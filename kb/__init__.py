@@ -24,16 +24,15 @@ from kb.model import Model
 from kb.optimal import OptimalPlanner, Optimum
 from kb.planning import Choice, Obsolete, PriorityPlanner
 from kb.processes import ProcessComponents, Program
-from kb.questions import Situation
 from kb.records import (
     Attempt,
-    Memory,
     Process,
     ReconfigurationPlan,
     Reply,
     RequiredAction,
     VetoAnswer,
 )
+from kb.situations import Situation
 from kb.status import Status
 from kb.store import StoreError
 
@@ -63,7 +62,6 @@ __all__ = [
     "KnowledgeBaseError",
     "Log",
     "ManagedSystem",
-    "Memory",
     "Model",
     "ModelError",
     "ModelFileError",

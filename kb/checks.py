@@ -230,7 +230,7 @@ def _contradictions(network: Network) -> Iterator[Finding]:
     """
     quick, thorough = Requirements(limit=QUICK), Requirements()
     impossible: dict[Node, None] = {}
-    for node in network.nodes:
+    for node in network.present():
         if node.kind not in ("attribute", "constraint"):
             ways = quick.of(node)
             if (ways if ways.conjunctions or ways.complete else thorough.of(node)) == FALSE:

@@ -224,7 +224,8 @@ class _Explainer:
         value = state.value.get(attribute)
         if value is None:
             return f"{attribute.name} is not measured"
-        shown = reading(value, state.network.thresholds(attribute).around(value), attribute)
+        thresholds = [constraint.element.value for constraint in attribute.constraints]
+        shown = reading(value, thresholds, attribute)
         time = state.time.get(attribute)
         if attribute in state.stale:
             return f"{attribute.name} {shown} {staleness(time, attribute, self._now)}"

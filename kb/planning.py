@@ -135,7 +135,7 @@ class Selection(NamedTuple):
     ) -> ReconfigurationPlan:
         """Return the plan that carries it out."""
         components = state.network.components
-        plain = frozenset(
+        plain = tuple(
             name
             for name in (*self.activate, *self.deactivate)
             if components[name].element.kind is ComponentKind.PLAIN

@@ -264,7 +264,7 @@ def _pending(state: State, conjunction: Conjunction) -> Conjunction:
         is_held = any(
             state.verdict(node) is Status.VIOLATED
             and _required(node, Status.VIOLATED).covers(interval)
-            for node in state.network.thresholds(attribute).debounced
+            for node in attribute.debounced
         )
         if is_outside or is_held or _is_counted_violated(state, attribute):
             pending[what] = interval

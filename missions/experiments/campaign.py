@@ -23,7 +23,7 @@ from typing import Any, Final, NamedTuple, Self
 
 from kb.files import draft, put
 from missions.baselines import MANAGERS, OURS, open_run
-from missions.engine.faults import Fault, inject, read_fault
+from missions.engine.faults import Fault, read_fault
 from missions.engine.mission import MissionError, find_mission
 from missions.engine.runner import MissionRun
 from missions.engine.settings import near
@@ -78,7 +78,7 @@ class PlannedRun:
             mission, manager=self.manager, task=self.task, seed=self.seed, settings=settings
         )
         try:
-            inject(run, *self.faults)
+            run.faults.add(*self.faults)
         except BaseException:
             run.world.close()
             raise
