@@ -539,7 +539,7 @@ class _Builder:
             steps: dict[str, Any] = {name: tuple(self._steps(thing, name)) for name in _STEPS}
             yield thing.order, facts.PlanFact(**steps, **self._period(thing)), thing.place
 
-    def _stated(self, thing: Thing, element: Any, name: str, own: Own) -> Iterator[Fact]:  # noqa: ANN401
+    def _stated(self, thing: Thing, element: Any, name: str, own: Own) -> Iterator[Fact]:  # noqa: ANN401  # of any class
         if name == "pid":
             yield facts.ProcessFact(element.name, own.value)
         elif name == "active" and own.value:
