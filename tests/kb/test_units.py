@@ -3,11 +3,9 @@
 import math
 
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
 from models import Clock
 
-from kb import InvalidValue, KnowledgeBase, Model
+from kb import InvalidValue, KnowledgeBase, Model, ModelError
 from kb.events import Event
 from kb.facts import MeasurementFact
 
@@ -56,6 +54,13 @@ def test_diagnostics_out_of_range_are_a_problem_with_the_range():
     assert kb.attributes["battery_voltage"].value is None
 
 
+@pytest.mark.parametrize("value", [0, 17, 0.0, 17.0, -0.0])
+def test_the_ends_belong_to_the_range(value):
+    kb = base()
+    kb.measure("battery_voltage", value)
+    assert kb.attributes["battery_voltage"].value == value
+
+
 def test_reasons_remedies_and_events_show_the_unit():
     kb = base()
     heard = []
@@ -72,23 +77,55 @@ def test_reasons_remedies_and_events_show_the_unit():
     assert (view.unit, view.low, view.high) == ("V", 0.0, 17.0)
 
 
-BOUNDS = st.floats(allow_nan=False) | st.integers(-(10**6), 10**6)
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    st.text(st.characters(exclude_categories=["Cs"]), max_size=12),
-    BOUNDS,
-    BOUNDS,
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"low": math.nan}, "low end of the range of 'battery_voltage' is a number, not nan"),
+        ({"high": "17"}, "high end"),
+        ({"low": True}, "low end"),
+        ({"low": math.inf, "high": math.inf}, "holds no number"),
+        ({"low": 18}, "holds no number: from 18.0 to 17.0"),
+        ({"unit": 3}, "the unit of 'battery_voltage' is a text, not 3"),
+    ],
 )
-def test_units_and_ranges_survive_a_file(tmp_path_factory, unit, one, other):
-    low, high = sorted((float(one), float(other)))
-    assume(low < math.inf and high > -math.inf)
-    unit = unit if unit.isprintable() else ""  # no XML has control characters
-    model = Model("boat")
-    model.quality_attribute("voltage", unit=unit, low=low, high=high)
-    path = tmp_path_factory.mktemp("units") / "boat.owl"
-    model.save(path)
-    loaded = Model.load(path)
-    assert loaded == model
-    assert (loaded.attributes["voltage"].unit, loaded.attributes["voltage"].low) == (unit, low)
+def test_what_is_no_unit_or_range_is_refused(given, said):
+    model = Model("empty")
+    with pytest.raises(ModelError, match=said):
+        model.quality_attribute("battery_voltage", **{"low": 0, "high": 17, **given})
+    assert not model.attributes
+
+
+@pytest.mark.parametrize(
+    ("constraint", "said"),
+    [
+        (lambda one: one >= 20, "is never satisfied: battery_voltage is from 0 to 17 V"),
+        (lambda one: one < 0, "is never satisfied"),
+        (lambda one: one >= -1, "is never violated"),
+        (lambda one: one <= 17, "is never violated"),
+        (lambda one: one >= 16, ""),
+    ],
+)
+def test_the_judge_warns_of_a_constraint_that_the_range_decides(constraint, said):
+    model = boat()
+    model.actions["sail"].constrain(constraint(model.attributes["battery_voltage"]))
+    told = [one.message for one in model.check() if one.code == "out-of-range"]
+    assert bool(told) is bool(said)
+    assert all(said in one and "(on sail)" in one for one in told)
+
+
+def test_units_and_ranges_survive_a_file(tmp_path):
+    model = boat(low=-1e-300, high=math.inf, unit="°C \U0001f321")
+    model.save(tmp_path / "boat.owl")
+    assert Model.load(tmp_path / "boat.owl") == model
+
+
+def test_ranges_are_kept_in_a_store(tmp_path):
+    with_store = KnowledgeBase(boat(), clock=Clock(10.0), store=tmp_path / "boat.sqlite3")
+    with_store.model.environmental_attribute("wind", unit="m/s", low=0.0)
+    with_store.measure("wind", 3.0)
+    with_store.close()
+    model = boat()
+    model.environmental_attribute("wind", unit="m/s", low=0.0)
+    again = KnowledgeBase(model, clock=Clock(11.0), store=tmp_path / "boat.sqlite3")
+    assert again.attributes["wind"].value == 3.0
+    again.close()
