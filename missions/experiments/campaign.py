@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from missions.baselines import MANAGERS, OURS, open_run
-from missions.engine.faults import Fault, inject, read_fault
+from missions.engine.faults import Fault, read_fault
 from missions.engine.mission import MissionError, find_mission
 from missions.engine.runner import MissionRun
 from missions.engine.settings import near
@@ -67,7 +67,7 @@ class PlannedRun:
             settings=settings,
         )
         try:
-            inject(run, *self.faults)
+            run.faults.add(*self.faults)
         except BaseException:
             run.world.close()
             raise

@@ -22,7 +22,7 @@ from urllib.parse import parse_qs, quote, urlsplit
 
 from kb import KnowledgeBase, KnowledgeBaseError
 from kb.elements import finite_number
-from missions.engine.faults import Fault, inject
+from missions.engine.faults import Fault
 from missions.engine.mission import MissionError, needs
 from missions.engine.runner import Listener, MissionRun
 from missions.views.breakpoints import Breakpoint, Breakpoints, read_breakpoints
@@ -89,12 +89,11 @@ class Steering(Listener):
     def state(self) -> dict[str, Any]:
         """The pause, the place of the stop, the speed, the breakpoints and the injected values."""
         with self._change:
-            faults = None if self._run is None else self._run.faults
             return {
                 "paused": self._is_paused,
                 "stopped": self._stopped_at,
                 "speed": self._speed,
-                "held": {} if faults is None else dict(faults.held),
+                "held": dict(self._run.faults.values) if self._run else {},
                 "breaks": [each.text for each in self.breakpoints.all],
             }
 
@@ -149,7 +148,7 @@ class Steering(Listener):
             faults.append(Fault("measure", name, value=finite_number(value)))
         faults += [Fault("release", name) for name in request.get("release", ())]
         faults += [Fault(verb, request[verb]) for verb in ("fail", "recover") if verb in request]
-        inject(run, *faults)
+        run.faults.add(*faults)
 
     def _open_run(self) -> MissionRun:
         if self._run is None:

@@ -106,7 +106,6 @@ class Recorder:
         self._own = None
         if header is None:
             self._own = AdaptationLog(kb, self.adapted, lambda: self._task_plans)
-            self._own.news(inf)
         self._elements = ElementTable(kb)
         self._standing: dict[tuple[int, str], bool | str] = {}
         self._events: deque[Event] = deque(maxlen=_REMEMBERED)
@@ -245,7 +244,7 @@ class Recorder:
                 rows.put(time, "plan", plan.number, shown)
                 if plan.end is not None and plan.end < time:
                     break
-        if event.verb in ("finish_attempt", "component_configured", "component_active"):
+        if event.verb in ("finish_attempt", "component_active"):
             for name, view in self.kb.components.items():
                 if view.parameters_in_force:
                     rows.put(
@@ -537,7 +536,7 @@ class RunRecorder(Listener):
             for signal, value in sample.signals.items():
                 if _split(signal)[0] not in self._measured:
                     recorder.put("signal", signal, round(value, 4))
-        scenery = run.ask("scenery", self._scene)
+        scenery = run.ask("scenery")
         if tuple(scenery) != self._scene:  # names alone tell that it has changed
             self._scene = tuple(scenery)
             recorder.show(scenery)

@@ -122,7 +122,7 @@ class Hostile(Listener):
         self.threads = []
 
     def beset(self, run):
-        kb, component = run.kb, next(iter(run.kb.components))
+        kb = run.kb
 
         def fail(event):
             raise ValueError("I do not like that")
@@ -130,7 +130,7 @@ class Hostile(Listener):
         def tell_back(event):
             if event.verb == "measure" and self.calls < 200:
                 self.calls += 1
-                kb.component_configured(component, {"heard": event.number})
+                kb.component_started(next(iter(kb.components)), 1)
 
         def dawdle(event):
             if event.verb == "request_action":
@@ -147,7 +147,7 @@ class Hostile(Listener):
         def ask():
             while not self.is_over:
                 kb.selectable_actions()
-                kb.component_configured(component, {"asked": True})
+                kb.component_started(next(iter(kb.components)), 1)
                 time.sleep(0.01)
 
         self.other.subscribe(answer)

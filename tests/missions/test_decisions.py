@@ -243,7 +243,7 @@ def test_what_is_told_of_a_replay_is_so_and_the_same_each_time(news):
 
 def test_what_else_a_test_wants_to_know_is_in_the_knowledge_base():
     decisions = decided()
-    assert decisions.kb.attributes["energy"].at(25.0) == 0.1
+    assert (20.0, 0.1) in decisions.kb.attributes["energy"].history
     assert str(decisions).count("\n") > 20
     assert re.search(
         r"plan +deactivate dock; activate camera; configure night: completed at 30.15 s",

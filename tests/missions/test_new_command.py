@@ -296,7 +296,8 @@ def test_mission_that_cannot_be_made_is_refused_with_the_line(tmp_path, monkeypa
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(MissionError) as refusal:
         find_mission("slip_of_mine:MISSION")
-    assert "unexpected keyword argument 'trees' (slip_of_mine.py, line 3)" in str(refusal.value)
+    assert "unexpected keyword argument 'trees'" in str(refusal.value)
+    assert "slip_of_mine.py, line 3" in str(refusal.value)
 
 
 def test_mission_that_is_only_planned_says_so_when_its_tree_is_asked_for(new):
