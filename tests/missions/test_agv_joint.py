@@ -42,9 +42,7 @@ def least_cost(building, task):
         for modes in product(*options):
             total = [0, 0, 0]
             cost = 0
-            for before, mode, corridor in zip(
-                (task.start[1], *modes), modes, path, strict=False
-            ):
+            for before, mode, corridor in zip((task.start[1], *modes), modes, path, strict=False):
                 drive = crossing(mode, corridor.length_m, corridor.obstacles * corridor.length_m)
                 for takes in (switching(before, mode), drive):
                     weights = task.question.weights
@@ -184,7 +182,10 @@ def test_question_without_meaning_is_refused(fields, words):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda m: m.change(m.configurations["fast"], parameters={"speed": "x"}), "speed .* is 'x'"),
+        (
+            lambda m: m.change(m.configurations["fast"], parameters={"speed": "x"}),
+            "speed .* is 'x'",
+        ),
         (lambda m: m.change(m.configurations["fast"], parameters={}), "speed .* is None; it must"),
         (
             lambda m: [m.remove(e) for e in [*m.estimations] if e.attribute == "energy"],

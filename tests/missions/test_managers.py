@@ -292,7 +292,9 @@ def test_manager_of_a_user_is_run_by_its_name(tmp_path, monkeypatch):
     (tmp_path / "cautious.py").write_text(OWN)
     monkeypatch.syspath_prepend(tmp_path)
     run = run_under("cautious:Cautious", seed=1, duration_s=20, margin=0.25)
-    altitudes = {change.parameters["spiral_altitude"] for change in changes_of("spiral_search", run)}
+    altitudes = {
+        change.parameters["spiral_altitude"] for change in changes_of("spiral_search", run)
+    }
     assert len(altitudes) > 5
     assert run.robot.options["margin_m"] == 0.25
     manager = find_manager("cautious:Cautious", run.mission)

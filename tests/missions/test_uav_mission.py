@@ -16,8 +16,8 @@ from missions.engine.task_layer import TASK_KINDS
 from missions.uav.model import uav_model
 from missions.uav.tree import facts, is_all_analysed
 from missions.uav.vehicle import ARM_M, REACTION_M, SUBSTEPS, Quadrotor, Settings, mixed
-from missions.uav.world import UavWorld
 from missions.uav.world import Sample as Target
+from missions.uav.world import UavWorld
 
 SEARCH, PICK_UP, LOOK = "search_for_samples", "pick_up_and_analyse", "analyse_on_site"
 RETURN, FOLD = "return_and_recharge", "land_and_fold_gripper"
@@ -111,9 +111,7 @@ MISHAPS = st.one_of(
 
 
 @settings(max_examples=3, suppress_health_check=[HealthCheck.too_slow])
-@given(
-    st.lists(MISHAPS, max_size=4), st.sampled_from([0.0, 0.5, 3.0]), st.sampled_from(TASK_KINDS)
-)
+@given(st.lists(MISHAPS, max_size=4), st.sampled_from([0.0, 0.5, 3.0]), st.sampled_from(TASK_KINDS))
 def test_any_mishap_leaves_the_switch_safe_and_all_analysed(script, switching_s, task):
     values = {"samples": 1, "added_s": 0, "gripper_worn_s": 0, "activation_s": switching_s}
     world = Mishaps(Settings(**values), numpy.random.default_rng(0))
