@@ -7,10 +7,10 @@ whole numbers, rounded once for each corridor and mode, so limits are exact.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from itertools import product
 from math import floor, inf, nan
-from operator import add
+from operator import add, mul
 from typing import Final, NamedTuple
 
 from kb import Choice, KnowledgeBase
@@ -127,9 +127,7 @@ class Modes:
             configured = [name for name in components if kb.components[name].configurations]
             options = [kb.components[name].configurations for name in configured]
             for names in product(*options):
-                choice = Choice(
-                    {self._function: design}, dict(zip(configured, names, strict=True))
-                )
+                choice = Choice({self._function: design}, dict(zip(configured, names, strict=True)))
                 yield self._mode(choice, components)
 
     def _mode(self, choice: Choice, components: tuple[str, ...]) -> Mode:
@@ -161,6 +159,7 @@ def _names(choice: Choice) -> list[str]:
     return [*choice.designs.values(), *choice.configurations.values()]
 
 
+@lru_cache(maxsize=10_000)  # each question asks again for the same corridors
 def crossing(mode: Mode, length_m: float, passed: float) -> Amounts:
     """Return what it takes to drive a length [m] past a number of obstacles.
 
@@ -285,6 +284,9 @@ class Task:
         # a hair more, as amounts are rounded
         amounts = [question.limits[name] * GOALS[name] + 1e-6 for name in self.limited]
         self.limits = tuple(floor(amount) for amount in amounts)
+        self._indices = [list(GOALS).index(name) for name in self.limited]
+        scales = GOALS.items()
+        self._weights = [question.weights.get(name, 0.0) * (1e3 / scale) for name, scale in scales]
         self.crossings = cache(self._crossings)
         self.switching = cache(self._switching)
 
@@ -293,7 +295,7 @@ class Task:
         place, before = state
         for leg, cost in self.crossings(place):
             switched, more = self.switching(before, leg.mode)
-            uses = tuple(map(add, self._limited(switched), self._limited(leg.takes)))
+            uses = tuple([switched[number] + leg.takes[number] for number in self._indices])
             yield Move((Place(leg.to), leg.mode), cost + more, uses, leg)
 
     def is_goal(self, state: State) -> bool:
@@ -313,7 +315,7 @@ class Task:
         for place in self.building.places:
             by_way: dict[tuple[str, str], list[list[int]]] = {}
             for leg, cost in self.crossings(Place(place)):
-                amounts = [cost, *self._limited(leg.takes)]
+                amounts = [cost, *[leg.takes[number] for number in self._indices]]
                 by_way.setdefault((leg.corridor, leg.to), []).append(amounts)
             for (_, to), rows in by_way.items():
                 arcs.append((place, to, [min(column) for column in zip(*rows, strict=True)]))
@@ -344,15 +346,7 @@ class Task:
 
     def _cost(self, takes: Amounts) -> int:
         """Return the weighted sum of amounts [thousandths]."""
-        weights = self.question.weights
-        amounts = takes._asdict().items()
-        terms = [weights.get(name, 0.0) * (1e3 / GOALS[name]) * amount for name, amount in amounts]
-        return round(sum(terms))
-
-    def _limited(self, takes: Amounts) -> list[int]:
-        """Return the amounts that have a limit."""
-        amounts = takes._asdict()
-        return [amounts[name] for name in self.limited]
+        return round(sum(map(mul, self._weights, takes)))
 
     def _ways(self, place: Place) -> Iterator[_Way]:
         """Yield the corridors at a place; within one: on to its end, or back and into another."""

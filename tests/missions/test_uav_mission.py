@@ -35,9 +35,9 @@ class Guard(Watcher):
     def tick(self, run):
         seen = run.world.sample()
         is_active = run.world.managed.is_active
-        if is_active("infrared_camera"):
-            if seen.signals["gripper [deg]"] > FOLDED_DEG or is_active("gripper"):
-                self.breaches.append(f"{seen.time} s: it looks with an unfolded gripper")
+        is_unfolded = seen.signals["gripper [deg]"] > FOLDED_DEG or is_active("gripper")
+        if is_unfolded and is_active("infrared_camera"):
+            self.breaches.append(f"{seen.time} s: it looks with an unfolded gripper")
         if seen.position[2] < 0.3:
             self.breaches.append(f"{seen.time} s: it is in the ground")
 
