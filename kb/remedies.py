@@ -52,7 +52,7 @@ class Interval(NamedTuple):
     def meet(self, other: "Interval") -> "Interval":
         return Interval(max(self.low, other.low), min(self.high, other.high))
 
-    def text(self, attribute: str, unit: str = "") -> str:
+    def text(self, attribute: object, unit: str = "") -> str:
         """Write it as comparisons of an attribute, e.g. "light >= 0.2 and light < 0.8"."""
         words = []
         for sign, bound, outside in ((">", self.low, -math.inf), ("<", self.high, math.inf)):
@@ -264,7 +264,7 @@ def _pending(state: State, conjunction: Conjunction) -> Conjunction:
         is_held = any(
             state.verdict(node) is Status.VIOLATED
             and _required(node, Status.VIOLATED).covers(interval)
-            for node in state.network.thresholds(attribute).debounced
+            for node in attribute.debounced
         )
         if is_outside or is_held or _is_counted_violated(state, attribute):
             pending[what] = interval

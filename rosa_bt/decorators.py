@@ -1,7 +1,7 @@
 """Decorators: an action around any behaviour, trying again at once, and times by the runner's clock.
 
-`Timeout`, `Timer`, `Delay` and `Retry` count by the clock of the `TreeRunner` that ticks their tree; in
-a tree without one, by the monotonic clock of this computer.
+`Timeout`, `Timer`, `Delay` and `Retry` count by the clock of the `TreeRunner` that ticks their
+tree; in a tree without one, by the monotonic clock of this computer.
 """
 
 import math
@@ -29,8 +29,9 @@ ROUNDING_S = 1e-9
 class ForAction(GuardedBehaviour, Requester, Decorator):
     """Ticks any behaviour only while a ROSA action is feasible, and requests the action meanwhile.
 
-    Each tick asks whether the action is feasible. If it is not, the child is stopped, and this fails
-    with the reason. Otherwise the action is requested when the child starts, and released once,
+    Each tick asks whether the action is feasible. If it is not, the child is stopped, and this
+    fails with the reason. Otherwise the action is requested when the child starts, and released
+    once,
     however the child ends: the result is "completed" after SUCCESS, "failed" after FAILURE or an
     exception (its text is the feedback), else "abandoned".
 
@@ -189,7 +190,10 @@ class Delay(Timed, Decorator):
 
 
 class Retry(Timed, py_trees.decorators.Retry):
-    """Ticks the child again after a failure, with a pause [s] before; FAILURE after `num_failures`."""
+    """Ticks the child again after a failure, with a pause [s] before.
+
+    FAILURE after `num_failures`.
+    """
 
     def __init__(self, name: str, child: Behaviour, num_failures: int, pause: float = 0.0) -> None:
         super().__init__(name, child, num_failures)

@@ -1,8 +1,11 @@
-"""A trace: the ticks of a tree together with the events of the knowledge base, in JSON lines; it can be replayed.
+"""A trace: the ticks of a tree together with the events of the knowledge base, in JSON lines.
 
-The first line names the version and the model. Each other line is a tick, with the events since the tick before. The
-tree and the visited behaviours are left out of a line if they are as in the tick before. Each line is written when its
-tick is over, so a program that is killed loses only the tick that was under way.
+It can be replayed.
+
+The first line names the version and the model. Each other line is a tick, with the events since the
+tick before. The tree and the visited behaviours are left out of a line if they are as in the tick
+before. Each line is written when its tick is over, so a program that is killed loses only the tick
+that was under way.
 """
 
 import json
@@ -37,7 +40,10 @@ class Node(NamedTuple):
 
 
 class Visit(NamedTuple):
-    """A behaviour that was ticked: its place in `Tick.tree`, and its status, e.g. "RUNNING", and feedback."""
+    """A behaviour that was ticked: its place in `Tick.tree`, and its status, e.g.
+
+    "RUNNING", and feedback.
+    """
 
     node: int
     status: str
@@ -59,7 +65,8 @@ class Told(NamedTuple):
 
     event: Event
     place: int | None
-    """None if the tree told it. Else it came before the behaviour at this place in `visited`; -1: before the tick."""
+    """None if the tree told it. Else it came before the behaviour at this place in `visited`; -1:
+    before the tick."""
 
 
 class Tick(NamedTuple):
@@ -72,11 +79,13 @@ class Tick(NamedTuple):
     visited: tuple[Visit, ...]
     """The behaviours that were ticked, in order: children before parents."""
     events: tuple[Told, ...] = ()
-    """The events since the tick before, in order; a replay tells again those that the tree did not tell."""
+    """The events since the tick before, in order; a replay tells again those that the tree did not
+    tell."""
     reasons: tuple[str, ...] = ()
     """The reason for each time that an action became unfeasible in these events."""
     is_interrupted: bool = False
-    """Whether the tick was cut short, e.g. by Ctrl-C, and the tree halted; all its events count as before the tick."""
+    """Whether the tick was cut short, e.g. by Ctrl-C, and the tree halted; all its events count as
+    before the tick."""
     errors: tuple[tuple[str, str], ...] = ()
     """The behaviours that raised since the tick before, by name, and the text of the exception."""
 
@@ -100,7 +109,10 @@ class Tick(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """The ticks of a tree, and the name of the model; a trace from memory may lack the first ticks."""
+    """The ticks of a tree, and the name of the model.
+
+    A trace from memory may lack the first ticks.
+    """
 
     model: str
     ticks: tuple[Tick, ...]
@@ -116,8 +128,10 @@ class Trace:
 class TraceVisitor(VisitorBase):
     """Records every tick: the events before it, which behaviours were ticked, with which status and feedback.
 
-    Add it to the visitors of a tree before the first tick; the trace begins with the first event that the log of the
-    knowledge base still holds. The same run gives the same trace, to the byte. Memory is bounded: it keeps the last
+    Add it to the visitors of a tree before the first tick; the trace begins with the first event
+    that the log of the
+    knowledge base still holds. The same run gives the same trace, to the byte. Memory is bounded:
+        it keeps the last
     ticks; a file keeps all.
 
     Args:
@@ -187,7 +201,10 @@ class TraceVisitor(VisitorBase):
         self._write(tuple(visits), last)
 
     def interrupt(self) -> None:
-        """End a tick that was cut short; a runner calls this instead of `finalise`, after it has halted the tree."""
+        """End a tick that was cut short.
+
+        A runner calls this instead of `finalise`, after it has halted the tree.
+        """
         self._write((), None)
 
     def _write(self, visited: tuple[Visit, ...], last: int | None) -> None:
@@ -232,7 +249,8 @@ class TraceVisitor(VisitorBase):
     def _witness(self, event: Event) -> None:
         """Note whether the tree told the event, and why actions became unfeasible with it, as it is explained now.
 
-        What time causes while a tick is under way is not told by the tree: it is replayed in its place.
+        What time causes while a tick is under way is not told by the tree: it is replayed in its
+            place.
         """
         if self._thread == get_ident() and event.verb not in _CAUSED_BY_TIME:
             self._own.add(event.number)
@@ -349,7 +367,8 @@ def _read_tick(line: dict[str, Any], before: Tick) -> Tick:
 def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Behaviour]) -> Trace:
     """Tell a new knowledge base the events of a trace at their times, tick a new tree, and return its trace.
 
-    The two traces are equal if model and tree are the same and every leaf decides by the knowledge base alone.
+    The two traces are equal if model and tree are the same and every leaf decides by the knowledge
+    base alone.
 
     Args:
         trace: a trace from the first tick on, of a knowledge base whose log was complete.

@@ -132,8 +132,10 @@ class Modes:
 
     def _mode(self, choice: Choice, components: tuple[str, ...]) -> Mode:
         model = self._kb.model
-        parts = [model.designs[name] for name in choice.designs.values()]
-        parts += [model.configurations[name] for name in choice.configurations.values()]
+        parts = [
+            *(model.designs[name] for name in choice.designs.values()),
+            *(model.configurations[name] for name in choice.configurations.values()),
+        ]
         name = " ".join(part.name for part in parts)
         speeds = [
             model.configurations[part].parameters.get("speed")
@@ -319,7 +321,7 @@ class Task:
                 by_way.setdefault((leg.corridor, leg.to), []).append(amounts)
             for (_, to), rows in by_way.items():
                 arcs.append((place, to, [min(column) for column in zip(*rows, strict=True)]))
-        bounds = []
+        bounds: list[Mapping[str, float]] = []
         for number in range(1 + len(self.limits)):
             lengths = [(origin, to, least[number]) for origin, to, least in arcs]
             bounds.append(distances(lengths, [self.goal]))
@@ -346,7 +348,8 @@ class Task:
 
     def _cost(self, takes: Amounts) -> int:
         """Return the weighted sum of amounts [thousandths]."""
-        return round(sum(map(mul, self._weights, takes)))
+        total: float = sum(map(mul, self._weights, takes))
+        return round(total)
 
     def _ways(self, place: Place) -> Iterator[_Way]:
         """Yield the corridors at a place; within one: on to its end, or back and into another."""

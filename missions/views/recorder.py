@@ -244,7 +244,7 @@ class Recorder:
                 rows.put(time, "plan", plan.number, shown)
                 if plan.end is not None and plan.end < time:
                     break
-        if event.verb in ("finish_attempt", "component_configured", "component_active"):
+        if event.verb in ("finish_attempt", "component_active"):
             for name, view in self.kb.components.items():
                 if view.parameters_in_force:
                     rows.put(

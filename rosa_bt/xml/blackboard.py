@@ -43,7 +43,8 @@ class Entry:
     declared: Any = None
     version: int = 0
     takes_any: bool = False
-    """Whether a port of a Python leaf that states no type names it: it takes whatever is written."""
+    """Whether a port of a Python leaf that states no type names it: it takes whatever is
+    written."""
     is_emptied: bool = False
     """Whether SetBlackboard emptied it by writing a text, as it does if no type is declared."""
 
@@ -58,7 +59,9 @@ class Entry:
         return converted(text, self.declared)
 
     def take(self, value: Value) -> None:
-        """Write a value from the program or a port, as the declared type; the first value declares it.
+        """Write a value from the program or a port, as the declared type.
+
+        The first value declares it.
 
         Raises:
             PortError: the value is not of the declared type, and cannot be converted.
@@ -79,10 +82,11 @@ class Entry:
 class Blackboard(MutableMapping[str, Any]):
     """The blackboard of one SubTree; other trees share entries with it through remapped keys only.
 
-    A key is looked up in this order: `@key` in the blackboard of the main tree; among the constants of
-    the SubTree element; under its remapped name in the blackboard of the parent tree; with autoremapping
-    under its own name there, unless it begins with an underscore; in this blackboard. As a mapping, it
-    does not contain empty entries.
+    A key is looked up in this order: `@key` in the blackboard of the main tree; among the constants
+        of
+    the SubTree element; under its remapped name in the blackboard of the parent tree; with
+    autoremapping under its own name there, unless it begins with an underscore; in this blackboard.
+    As a mapping, it does not contain empty entries.
 
     Args:
         clock: of the main tree.
@@ -146,7 +150,10 @@ class Blackboard(MutableMapping[str, Any]):
         return entries.get(name)
 
     def make(self, key: str, declared: object = None) -> Entry:
-        """Return the entry of a key; if it does not exist, make it, with the type that a port declares."""
+        """Return the entry of a key.
+
+        If it does not exist, make it, with the type that a port declares.
+        """
         entries, name = self.place(key)
         if name not in entries:
             entries[name] = Entry(declared=declared)
@@ -155,7 +162,10 @@ class Blackboard(MutableMapping[str, Any]):
         return entries[name]
 
     def unset(self, key: str) -> None:
-        """Remove a key from this blackboard; as in BehaviorTree.CPP, a remapped key is not removed."""
+        """Remove a key from this blackboard.
+
+        As in BehaviorTree.CPP, a remapped key is not removed.
+        """
         self._entries.pop(key, None)
 
     def __getitem__(self, key: str) -> Value:
@@ -188,7 +198,10 @@ Declared = Mapping[str, PortInformation]
 
 
 def key_of(written: str, port: str) -> str | None:
-    """Return the key in the text of a port: of `{key}`, or for `{=}` the name of the port; None for a literal."""
+    """Return the key in the text of a port: of `{key}`, or for `{=}` the name of the port.
+
+    None for a literal.
+    """
     written = written.strip()
     if not (len(written) > 2 and written.startswith("{") and written.endswith("}")):
         return None
@@ -210,7 +223,8 @@ class Ports:
         literals: the values of ports that have a literal, by name of the port.
 
     Raises:
-        PortError: an attribute is not a port of the node, a literal has a wrong type, or a key has another type.
+        PortError: an attribute is not a port of the node, a literal has a wrong type, or a key has
+            another type.
     """
 
     def __init__(

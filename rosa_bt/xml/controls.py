@@ -33,7 +33,8 @@ class Sequence(Control):
     Attributes:
         goes_on: the outcome of a child after which the next child is ticked.
         is_async: be RUNNING for a tick after a child that ended in its first tick.
-        keeps_place: keep `current_child` also when a child ends the node, and when the node is halted.
+        keeps_place: keep `current_child` also when a child ends the node, and when the node is
+            halted.
     """
 
     goes_on = SUCCESS
@@ -92,7 +93,10 @@ class AsyncFallback(Fallback):
 
 
 class ReactiveSequence(Control):
-    """Ticks the children from the first in each tick; a running child resets and halts all others."""
+    """Ticks the children from the first in each tick.
+
+    A running child resets and halts all others.
+    """
 
     goes_on = SUCCESS
     is_reactive_sequence = True
@@ -120,7 +124,10 @@ class ReactiveFallback(ReactiveSequence):
 
 
 class Parallel(Control):
-    """Ends as soon as enough children have succeeded or failed; the others are halted, or no longer ticked."""
+    """Ends as soon as enough children have succeeded or failed.
+
+    The others are halted, or no longer ticked.
+    """
 
     PORTS: ClassVar = {"success_count": port(int, -1), "failure_count": port(int, 1)}
     is_side_by_side = True
@@ -149,7 +156,10 @@ class Parallel(Control):
         return sum(slot.status is verdict for slot in self.slots)
 
     def _threshold(self, name: str) -> int:
-        """Return the number of children in a port; a negative number counts from the end: -1 means all children."""
+        """Return the number of children in a port.
+
+        A negative number counts from the end: -1 means all children.
+        """
         count = len(self.children)
         number: int = self.ports.get(name)
         if number > count:
@@ -171,9 +181,12 @@ class ParallelAll(Parallel):
 
 
 class IfThenElse(Control):
-    """Ticks the first child as a condition; if it succeeds, the second child, and if it fails, the third.
+    """Ticks the first child as a condition.
 
-    Once it has ended, only the chosen child is ticked; but with `asks_always`, it is ticked in each tick.
+    If it succeeds, the second child, and if it fails, the third.
+
+    Once it has ended, only the chosen child is ticked; but with `asks_always`, it is ticked in each
+    tick.
     """
 
     CHILDREN = (2, 3)
@@ -212,7 +225,10 @@ class WhileDoElse(IfThenElse):
 
 
 class Switch(Control, is_node=False):
-    """Ticks the child whose case equals the variable, or else the last; there is a class for each number of cases."""
+    """Ticks the child whose case equals the variable, or else the last.
+
+    There is a class for each number of cases.
+    """
 
     runs = False
     FORGETS = ("_running",)
@@ -258,9 +274,12 @@ for _cases in range(2, 7):
 
 
 class TryCatch(Control):
-    """A sequence of all but the last child; if one fails, the last child is ticked to its end: then FAILURE.
+    """A sequence of all but the last child.
 
-    With `catch_on_halt`, the last child is also ticked once when the node is halted before a child has failed.
+    If one fails, the last child is ticked to its end: then FAILURE.
+
+    With `catch_on_halt`, the last child is also ticked once when the node is halted before a child
+    has failed.
     """
 
     CHILDREN = (2, MAX_NODES)
@@ -368,7 +387,10 @@ class RetryUntilSuccessful(Repeat):
 
 
 class RunOnce(OneChild):
-    """Ticks the child to its end, once; after that it is skipped, or with then_skip="false" returns that outcome."""
+    """Ticks the child to its end, once.
+
+    After that it is skipped, or with then_skip="false" returns that outcome.
+    """
 
     PORTS: ClassVar = {"then_skip": port(bool, True)}
     _outcome = SKIPPED
@@ -438,7 +460,10 @@ class Timeout(Timed):
 
 
 class Precondition(OneChild):
-    """Ticks the child if the script `if` is true; else returns `else`. Once the child runs, `if` is not asked."""
+    """Ticks the child if the script `if` is true; else returns `else`.
+
+    Once the child runs, `if` is not asked.
+    """
 
     PORTS: ClassVar = {"if": port(str), "else": port(Status, FAILURE)}
     runs = False
@@ -458,7 +483,10 @@ class Precondition(OneChild):
 
 
 class SkipUnlessUpdated(OneChild):
-    """Ticks the child to its end each time that an entry was written; otherwise returns `instead`."""
+    """Ticks the child to its end each time that an entry was written.
+
+    Otherwise returns `instead`.
+    """
 
     PORTS: ClassVar = {"entry": port(object)}
     FORGETS = ("_goes_on",)
@@ -481,7 +509,10 @@ class WaitValueUpdate(SkipUnlessUpdated):
 
 
 class Loop(OneChild, is_node=False):
-    """Runs the child once for each element of a queue, one per tick; returns `if_empty` in the tick after the last."""
+    """Runs the child once for each element of a queue, one per tick.
+
+    Returns `if_empty` in the tick after the last.
+    """
 
     FORGETS = ("_goes_on",)
     runs = False

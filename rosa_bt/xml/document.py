@@ -22,7 +22,8 @@ class Document:
     """The trees and models that are defined in files, or texts, and in the files that they include.
 
     Attributes:
-        root: the outermost element of the file; of several files, of the one that names the main tree.
+        root: the outermost element of the file; of several files, of the one that names the main
+            tree.
         trees: the `BehaviorTree` elements, by ID.
         models: the elements of the TreeNodesModels, by ID.
         notes: what was read otherwise than it stands, or means nothing.
@@ -71,7 +72,10 @@ class Document:
         return self._file(Path(source), "<text>", [])
 
     def _file(self, path: Path, where: str, chain: list[str]) -> Element:
-        """Return the outermost element of a file; a file is read once, even if it is included several times."""
+        """Return the outermost element of a file.
+
+        A file is read once, even if it is included several times.
+        """
         content = read_file(path, where)
         real = os.path.realpath(path)
         if real in chain:
@@ -162,7 +166,10 @@ class Document:
 
 
 def wrong_id(name: str) -> str:
-    """Return why BehaviorTree.CPP refuses an ID, and what to write instead; empty if it accepts it."""
+    """Return why BehaviorTree.CPP refuses an ID, and what to write instead.
+
+    Empty if it accepts it.
+    """
     match = _FORBIDDEN.search(name)
     if match:
         better = _FORBIDDEN.sub("_", name)

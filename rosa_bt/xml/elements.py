@@ -70,7 +70,8 @@ def read_file(path: Path, where: str) -> bytes:
 def parse(text: str | bytes, file: str, note: Note) -> Element:
     """Return the outermost element.
 
-    A text that BehaviorTree.CPP reads, though it is no XML, is read with a note: raw `&&` and `<` in
+    A text that BehaviorTree.CPP reads, though it is no XML, is read with a note: raw `&&` and `<`
+        in
     attributes, `--` in comments, and blanks before the declaration.
     """
     if len(text) > MAX_SIZE:

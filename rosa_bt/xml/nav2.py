@@ -1,4 +1,7 @@
-"""The controls and decorators of Nav2, with the semantics of its release 1.5.1; another release may differ."""
+"""The controls and decorators of Nav2, with the semantics of its release 1.5.1.
+
+Another release may differ.
+"""
 
 from typing import ClassVar
 
@@ -66,9 +69,12 @@ class PipelineSequence(Control):
 
 
 class RoundRobin(Control):
-    """Ticks the next child, until one succeeds or all failed; without `wrap_around`, ends at the last.
+    """Ticks the next child, until one succeeds or all failed.
 
-    As in Nav2 1.5.1, the last child ends it as a failure without `wrap_around`, also by its success.
+    Without `wrap_around`, ends at the last.
+
+    As in Nav2 1.5.1, the last child ends it as a failure without `wrap_around`, also by its
+    success.
     """
 
     PORTS: ClassVar = {"wrap_around": port(bool, False)}
@@ -133,7 +139,9 @@ class PersistentSequence(Control):
 
 
 class PauseResumeController(Control):
-    """Ticks the first child; while paused, the second; the third on a pause, the fourth on resuming.
+    """Ticks the first child; while paused, the second.
+
+    The third on a pause, the fourth on resuming.
 
     Nav2 pauses and resumes it by two services; here, `pause` and `resume` are called.
     """

@@ -1,9 +1,10 @@
 """The base classes of BehaviorTree.CPP's nodes, the slot that holds a child, and the leaves.
 
-A behaviour of py_trees has one status. BehaviorTree.CPP needs more: a child that has finished stays finished until its
-parent resets it, a skipped node is idle, and only a RUNNING node is halted. A `Slot` keeps this status for each child,
-so that the children can be plain behaviours of py_trees. SKIPPED and IDLE are INVALID here, since py_trees has no other
-status for them.
+A behaviour of py_trees has one status. BehaviorTree.CPP needs more: a child that has finished stays
+    finished until its
+parent resets it, a skipped node is idle, and only a RUNNING node is halted. A `Slot` keeps this
+status for each child, so that the children can be plain behaviours of py_trees. SKIPPED and IDLE
+are INVALID here, since py_trees has no other status for them.
 """
 
 from collections.abc import Generator, Iterator, Mapping, Sequence
@@ -45,7 +46,10 @@ RULES: Final = (*INSTEAD, "_while", "_onHalted", "_onFailure", "_onSuccess", "_p
 
 
 class Rules:
-    """Pre- and post-conditions of a node, by attribute, e.g. `_skipIf`, and the blackboard that they use."""
+    """Pre- and post-conditions of a node, by attribute, e.g.
+
+    `_skipIf`, and the blackboard that they use.
+    """
 
     def __init__(self, blackboard: Blackboard, written: Mapping[str, str]) -> None:
         self.blackboard = blackboard
@@ -56,7 +60,10 @@ class Rules:
         return truth(self.scripts[name](self.blackboard)) if name in self.scripts else otherwise
 
     def outcome(self, status: Status) -> Status | None:
-        """Return the outcome that a pre-condition sets for a node of this status; None if the node is to be ticked."""
+        """Return the outcome that a pre-condition sets for a node of this status.
+
+        None if the node is to be ticked.
+        """
         for name, verdict in INSTEAD.items() if status is SKIPPED else ():
             if self.holds(name, False):
                 return verdict
@@ -74,7 +81,8 @@ class Slot:
 
     node: Behaviour
     is_condition: bool = False
-    """Whether it is a leaf that is ticked again after it has finished; other leaves stay finished until a reset."""
+    """Whether it is a leaf that is ticked again after it has finished; other leaves stay finished
+    until a reset."""
     source: tuple[str, Mapping[str, str]] | None = None
     """Tag and attributes of its element; None for a behaviour that was inserted later."""
     rules: Rules | None = None
@@ -117,7 +125,10 @@ class Slot:
         self.status = SKIPPED
 
     def wipe(self) -> None:
-        """Clear the behaviour's own status after a reset; until the next tick, pictures show the last outcome."""
+        """Clear the behaviour's own status after a reset.
+
+        Until the next tick, pictures show the last outcome.
+        """
         if self.status is SKIPPED and self.node.status in DONE:
             self.node.status = Status.INVALID
 
@@ -293,7 +304,8 @@ class ScriptCondition(Script):
 class SetBlackboard(Named):
     """Writes a text, converted to the declared type of the entry, or copies the value of another key.
 
-    As in BehaviorTree.CPP, if no type is declared, the first text empties the entry, and the second raises.
+    As in BehaviorTree.CPP, if no type is declared, the first text empties the entry, and the second
+    raises.
     """
 
     PORTS: ClassVar = {"value": port(object), "output_key": port(object)}

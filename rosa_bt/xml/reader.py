@@ -59,18 +59,22 @@ def load_xml(
     """Make a tree from the XML of BehaviorTree.CPP 4, with its semantics.
 
     Args:
-        text_or_path: the XML as a text, or the path of a file; or several of these, whose trees use one another.
+        text_or_path: the XML as a text, or the path of a file; or several of these, whose trees use
+            one another.
         registry: the behaviours for the leaves.
-        tree: ID of the tree to make; without it, the `main_tree_to_execute` of the file, or its only tree.
-        clock: gives the time [s] to Delay, Timeout and Sleep; without it, the clock of the `TreeRunner`, or of the
-            knowledge base that the registry is bound to, or else the monotonic clock of this computer.
+        tree: ID of the tree to make; without it, the `main_tree_to_execute` of the file, or its
+            only tree.
+        clock: gives the time [s] to Delay, Timeout and Sleep; without it, the clock of the
+            `TreeRunner`, or of the knowledge base that the registry is bound to, or else the
+            monotonic clock of this computer.
         enums: names that scripts can use, with their numbers, e.g. `{"RED": 1}`.
 
     Returns:
         A behaviour of py_trees. INVALID after a tick means that it was skipped.
 
     Raises:
-        XmlError: the XML cannot be read, or the tree cannot be made; the message begins with file and line.
+        XmlError: the XML cannot be read, or the tree cannot be made; the message begins with file
+            and line.
     """
     sources = [text_or_path] if isinstance(text_or_path, str | Path) else text_or_path
     document = Document(sources)
@@ -193,7 +197,10 @@ class _Builder:
         return f"<{tag}> is unknown; {guess}{hint(tag, self._registry.entries, 'registered behaviours')}"
 
     def _rules(self, element: Element) -> dict[str, str]:
-        """Return the rules of an element; note attributes that look like rules, and double quotes."""
+        """Return the rules of an element.
+
+        Note attributes that look like rules, and double quotes.
+        """
         rules = {}
         for name in list(element.attrib):
             if name in RULES or name == _SCRIPT_PORTS.get(element.node):

@@ -54,7 +54,10 @@ class Entry:
 
     @cached_property
     def arguments(self) -> Declared:
-        """The parameters that attributes can set, as ports; one with the name of a port has the type of that port."""
+        """The parameters that attributes can set, as ports.
+
+        One with the name of a port has the type of that port.
+        """
         ports = ports_of(self.factory)[0]
         arguments = {}
         for name, parameter in self.parameters.items():
@@ -110,7 +113,8 @@ class Entry:
 
     def _divided(self, written: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
         """Return the attributes that are arguments: those with a literal, and those with a key."""
-        literals, keys = dict[str, str](), dict[str, str]()
+        literals = dict[str, str]()
+        keys = dict[str, str]()
         for name, argument in self.arguments.items():
             text = written.get(name)
             if text is None:
@@ -184,8 +188,8 @@ class BehaviourRegistry:
     """The behaviours that files of trees can use, by name.
 
     Args:
-        bound: arguments for every factory that has a parameter of the same name, e.g. `kb=kb`. Retry
-            and UntilSuccess are registered from the start; with a `kb` also IsActionFeasible,
+        bound: arguments for every factory that has a parameter of the same name, e.g. `kb=kb`.
+            Retry and UntilSuccess are registered from the start; with a `kb` also IsActionFeasible,
             HasStatus, Measurement, ForAction, DoUntilUnfeasible and SafeSwitch.
 
     Attributes:
@@ -218,15 +222,20 @@ class BehaviourRegistry:
     ) -> object:
         """Register a class of behaviours, or a function that makes a behaviour; also a decorator.
 
-        The parameters `name`, `child` and `children` are set from the file, `blackboard` to that of the tree. Every
-        other parameter, and every port of py_trees, is an attribute, converted to its declared type.
+        The parameters `name`, `child` and `children` are set from the file, `blackboard` to that of
+        the tree. Every other parameter, and every port of py_trees, is an attribute, converted to
+        its declared type.
 
         Args:
-            name: the tag or ID in the file; a bare `@registry.register` takes the name of the class or function.
-            factory: the class or function, which is returned as it is; without it, a decorator is returned.
-            kind: "condition" for a leaf that is ticked again after it has finished, even if it was not reset; "action"
-                for a leaf that is not. Without it, the file decides (`<Condition ID=...>` or its TreeNodesModel), or
-                else the class: without `initialise` and `terminate` of its own, it makes conditions.
+            name: the tag or ID in the file; a bare `@registry.register` takes the name of the class
+                or function.
+            factory: the class or function, which is returned as it is; without it, a decorator is
+                returned.
+            kind: "condition" for a leaf that is ticked again after it has finished, even if it was
+                not reset; "action" for a leaf that is not. Without it, the file decides
+                (`<Condition ID=...>` or its TreeNodesModel), or
+                else the class: without `initialise` and `terminate` of its own, it makes
+                    conditions.
 
         Raises:
             RegistryError: the name is taken, or an argument is of a wrong kind.

@@ -1,4 +1,7 @@
-"""Scripts of BehaviorTree.CPP 4.10: `a := 1; b = a > 2 ? 'x' .. a : 'y'`; all arithmetic and logic give doubles."""
+"""Scripts of BehaviorTree.CPP 4.10: `a := 1; b = a > 2 ? 'x' .. a : 'y'`.
+
+All arithmetic and logic give doubles.
+"""
 
 import math
 import operator
@@ -99,7 +102,8 @@ class _Run:
         return entry.value
 
     def assign(self, target: Any, sign: str, expression: Any) -> Value:  # noqa: ANN401  # as above
-        board, name = self._board, str(target)
+        board = self._board
+        name = str(target)
         if getattr(target, "type", "") != "NAME" or name in ("true", "false"):
             raise ScriptError("the left side of an assignment has to be a name")
         if sign != ":=" and board.entry(name) is None:

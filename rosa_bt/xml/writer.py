@@ -1,6 +1,7 @@
 """Writes trees as XML.
 
-`export_xml` writes trees that can be read again exactly, and refuses others; a `NumberedTree` shows any.
+`export_xml` writes trees that can be read again exactly, and refuses others; a `NumberedTree` shows
+any.
 """
 
 import inspect
@@ -36,7 +37,8 @@ _TAGS: Final[Mapping[type[Behaviour], str]] = {
     **{kind: kind.__name__ for kind in (Timeout, Delay, ForAction, UntilSuccess, Retry)},
     **{kind: kind.__name__ for kind in (DoUntilUnfeasible, SafeSwitch)},
 }
-"""The tags of behaviours that mean exactly the same; before those of composites without memory, `Reactive`."""
+"""The tags of behaviours that mean exactly the same; before those of composites without memory,
+`Reactive`."""
 _DURATIONS: Final = {Timer: "msec", Timeout: "msec", Delay: "delay_msec"}
 _ARGUMENTS: Final = (
     *("action", "preference", "wait", "timeout", "even_if_unfeasible", "exclusive"),
@@ -50,16 +52,18 @@ _MAIN: Final = "MainTree"
 def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None) -> str:
     """Write a tree as XML of BehaviorTree.CPP 4.
 
-    It writes trees from `load_xml`, also changed ones, and trees of behaviours that mean exactly the
+    It writes trees from `load_xml`, also changed ones, and trees of behaviours that mean exactly
+    the
     same: Sequence and Selector (with and without memory), Inverter, FailureIsSuccess,
-    SuccessIsFailure, Success, Failure, our Timer, Timeout and Delay, and leaves that need no arguments
-    but a name, a knowledge base and the action. The idioms are written as the nodes that they consist
-    of; ForAction, UntilSuccess, Retry, DoUntilUnfeasible and SafeSwitch are in every registry with a
-    knowledge base. The contents of blackboards are not written.
+    SuccessIsFailure, Success, Failure, our Timer, Timeout and Delay, and leaves that need no
+    arguments but a name, a knowledge base and the action. The idioms are written as the nodes that
+    they consist of; ForAction, UntilSuccess, Retry, DoUntilUnfeasible and SafeSwitch are in every
+    registry with a knowledge base. The contents of blackboards are not written.
 
     Args:
         behaviour: the root of the tree.
-        registry: gives leaves that are not from a file their tags; without it, the name of the class.
+        registry: gives leaves that are not from a file their tags; without it, the name of the
+            class.
 
     Raises:
         ExportError: a behaviour has no exact counterpart; the message names it.
@@ -231,14 +235,16 @@ class _Exporter(_Writer):
 
 
 class NumberedTree(_Writer):
-    """A tree as XML with numbered nodes, for programs that watch it; make a new one when it changed.
+    """A tree as XML with numbered nodes, for programs that watch it.
+
+    Make a new one when it changed.
 
     Args:
         root: the root of any tree of py_trees.
 
     Attributes:
-        xml: the text. The number of a node is its attribute `_uid`; each subtree is a `BehaviorTree`
-            element of its own, with its place in `_fullpath`.
+        xml: the text. The number of a node is its attribute `_uid`; each subtree is a
+            `BehaviorTree` element of its own, with its place in `_fullpath`.
         numbers: the numbers by behaviour, from 1, in the order of the text.
         subtrees: the subtrees by the name of their blackboard; None for one that is not from XML.
     """

@@ -75,7 +75,7 @@ LATE = {
 }
 """Slow to import: only inside functions, or in the one module that is itself imported late."""
 LATE_MODULES = {
-    "kb/typeql_syntax.py",
+    "kb/typeql.py",
     "missions/views/picture.py",
     "missions/views/terminal.py",
     "missions/testing/plugin.py",

@@ -2,14 +2,22 @@
 
 import random
 import sys
+from contextlib import closing
 from functools import partial
 
 from clocks import Clock
 
 from kb import KnowledgeBase, Model, PriorityPlanner
+from kb.store import connect, events_in
 
 KEPT = 50
 LOST = "its result is not known"
+
+
+def stored(path):
+    """The events of a store that is closed."""
+    with closing(connect(path)) as connection:
+        return list(events_in(connection))
 
 
 def answers(kb, *, ended=False):
@@ -45,7 +53,7 @@ def answers(kb, *, ended=False):
             for one in kb.history.answers
         ],
         "reasons": [one.reason for one in (*kb.designs.values(), *kb.configurations.values())],
-        "processes": [(one.component, one.pid, one.start, one.end) for one in kb.processes],
+        "processes": [(one.component, one.pid, one.start, one.end) for one in kb.history.processes],
         "adaptable": (kb.adaptable_functions(), kb.adaptable_components(), kb.obsolete()),
     }
 
@@ -138,8 +146,11 @@ class Life:
         elif what == 9 and kb.pending_plan:
             yield from self.carrying_out(kb.pending_plan)
         elif what == 10:
-            given = {"exposure": chance.random(), "topics": ["a", "b"], "on": True, "n": 3}
-            yield kb.component_configured, "camera", given
+            if kb.plans:
+                given = {"exposure": chance.random(), "topics": ["a", "b"], "on": True, "n": 3}
+                command = kb.plans[-1], "camera", "configure", "day", given
+                yield kb.record_attempt, *command
+                yield kb.finish_attempt, kb.history.attempts[-1], "completed"
             yield (
                 (kb.component_started, "lidar", chance.randrange(1000))
                 if chance.random() < 0.5
@@ -182,8 +193,8 @@ def live(path, seed):
     life, acknowledged = Life(path, seed), 0
     print("begun", flush=True)
     for _ in life.moves():
-        if life.kb.saved > acknowledged:
-            acknowledged = life.kb.saved
+        if life.kb.store.saved > acknowledged:
+            acknowledged = life.kb.store.saved
             print(acknowledged, flush=True)
 
 

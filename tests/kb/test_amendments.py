@@ -342,7 +342,9 @@ def test_models_are_equal_if_they_say_the_same():
 def test_a_component_declared_again_knows_nothing_of_the_one_that_was_removed(kb):
     model = kb.model
     lamp = model.component("lamp")
-    kb.component_configured("lamp", {"power": 3})
+    kb.request_action("explore")
+    plan = kb.select({"see": "by camera"})
+    kb.finish_attempt(kb.record_attempt(plan, "lamp", "configure", None, {"power": 3}), "completed")
     model.remove(lamp)
     model.component("lamp")
     assert dict(kb.components["lamp"].parameters_in_force) == {}

@@ -36,7 +36,7 @@ def state_after(story):
 
 
 def statused(state):
-    return [node for node in state.network.nodes if node.kind not in ("attribute", "constraint")]
+    return [node for node in state.network.present() if node.kind not in ("attribute", "constraint")]
 
 
 def nodes_of(cause, owner):
@@ -61,7 +61,7 @@ def disturbed(data, state, chain):
     compared = {node.requires[0] for node in named if node.kind == "constraint"}
     other = state.copy()
     other.touch(state.network.present())
-    for node in state.network.nodes:
+    for node in state.network.present():
         if node.kind == "attribute":
             if node not in compared:
                 value = data.draw(st.sampled_from((None, -0.5, 0.25, 0.75, 1.5)))

@@ -55,13 +55,6 @@ def test_measurements_that_are_stated_are_measured_and_remembered(model):
     light = kb.attributes["light"]
     assert (light.value, light.time, light.is_stale) == (0.4, 95.0, False)
     assert light.history == ((90.0, 0.9), (95.0, 0.4))
-    assert [light.at(time) for time in (89.0, 90.0, 94.9, 95.0, 200.0)] == [
-        None,
-        0.9,
-        0.9,
-        0.4,
-        0.4,
-    ]
     assert (kb.attributes["energy"].value, kb.attributes["energy"].time) == (1.0, 100.0)
     assert kb.components["camera"].status is Status.UNFEASIBLE
 
@@ -84,7 +77,7 @@ def test_a_configured_robot_at_work_may_be_stated(model):
     assert kb.actions["explore"].status is Status.SOLVED
     (required,) = kb.required_actions
     assert (required.action, required.preference, required.start) == ("explore", "energy", 100.0)
-    (process,) = kb.processes
+    (process,) = kb.history.processes
     assert (process.component, process.pid, process.start, process.end) == (
         "camera",
         4711,
@@ -92,7 +85,7 @@ def test_a_configured_robot_at_work_may_be_stated(model):
         None,
     )
     kb.component_ended("camera", 4711)
-    assert kb.processes[0].end == 100.0
+    assert kb.history.processes[0].end == 100.0
     kb.cancel_action("explore", "completed")
     assert kb.obsolete() == (("camera",), ("by camera",), ("day",))
 
@@ -213,7 +206,7 @@ def test_processes_are_told_by_component_and_number(model):
     kb.component_ended("camera", 10)
     clock.now = 4.0
     kb.component_ended("camera")
-    assert [(one.pid, one.start, one.end) for one in kb.processes] == [
+    assert [(one.pid, one.start, one.end) for one in kb.history.processes] == [
         (10, 1.0, 3.0),
         (11, 2.0, 4.0),
     ]

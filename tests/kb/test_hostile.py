@@ -7,7 +7,6 @@ import re
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from interrupting import is_free
 from kept import answers
 from models import Clock
 
@@ -259,7 +258,6 @@ TOLD = {
     "component_failed": (("c", "rain"), 2),
     "component_recovered": (("c",), 1),
     "component_active": (("c", True, "on"), 3),
-    "component_configured": (("c", {"r": 2}), 2),
     "component_started": (("c", 7), 2),
     "component_ended": (("c", 7), 2),
     "assert_status": (("a", "unfeasible", "seen", 99.0), 4),
@@ -329,31 +327,3 @@ def spread(values):
             yield from (*one, *one.values())
         elif isinstance(one, list | tuple):
             yield from one
-
-
-class Asking(dict):
-    """A mapping of somebody's own, which looks whether another thread can ask meanwhile."""
-
-    def __init__(self, kb, **values):
-        super().__init__(**values)
-        self.kb, self.found = kb, []
-
-    def keys(self):
-        self.found.append(is_free(self.kb))
-        return super().keys()
-
-    def __iter__(self):
-        self.found.append(is_free(self.kb))
-        return super().__iter__()
-
-    def items(self):
-        self.found.append(is_free(self.kb))
-        return super().items()
-
-
-def test_nothing_is_held_while_a_mapping_of_others_is_read():
-    kb = KnowledgeBase(robot(), clock=Clock(1.0))
-    given = [Asking(kb, v=1.0), Asking(kb, f="d"), Asking(kb, c="k")]
-    assert kb.request_action("a", given[0])
-    assert kb.select(given[1], configurations=given[2])
-    assert all(one.found and all(one.found) for one in given)

@@ -359,7 +359,6 @@ UNKNOWN = [
     (lambda kb: kb.component_failed("camra"), "did you mean 'camera'"),
     (lambda kb: kb.component_recovered("camra"), "did you mean 'camera'"),
     (lambda kb: kb.component_active("camra", True), "did you mean 'camera'"),
-    (lambda kb: kb.component_configured("camra", {}), "did you mean 'camera'"),
     (lambda kb: kb.request_action("explor"), "did you mean 'explore'"),
     (lambda kb: kb.request_action("explore", "batery"), "did you mean 'battery'"),
     (lambda kb: kb.cancel_action("explor"), "did you mean 'explore'"),
@@ -481,7 +480,6 @@ def test_what_belongs_to_another_knowledge_base_is_refused(kb, foreign):
     [
         lambda kb: kb.select(["by camera"]),
         lambda kb: kb.finish_plan(None, "completed"),
-        lambda kb: kb.component_configured("camera", None),
         lambda kb: kb.adaptable_components(5),
         lambda kb: KnowledgeBase(None),
         lambda kb: KnowledgeBase(kb.model, clock=5),
@@ -563,16 +561,6 @@ def test_two_views_of_one_element_are_equal_and_of_others_are_not(kb):
     assert len({kb.actions["explore"], kb.actions["explore"], kb.actions["rest"]}) == 2
     assert kb.actions["explore"] != KnowledgeBase(kb.model).actions["explore"]
     assert kb.actions["explore"] != "explore"
-
-
-def test_parameters_in_force_are_those_last_given_and_a_copy(kb):
-    assert kb.components["camera"].parameters_in_force == {}
-    given = {"exposure": 0.5}
-    kb.component_configured("camera", given)
-    given["exposure"] = 0.7
-    assert kb.components["camera"].parameters_in_force == {"exposure": 0.5}
-    with pytest.raises(TypeError):
-        kb.components["camera"].parameters_in_force["exposure"] = 1.0
 
 
 # time, memory, threads

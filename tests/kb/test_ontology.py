@@ -15,7 +15,6 @@ from kb import (
     InvalidValue,
     KnowledgeBase,
     KnowledgeBaseError,
-    Memory,
     Model,
     ModelFileError,
     PriorityPlanner,
@@ -219,13 +218,15 @@ def test_model_that_changes_is_the_one_that_is_asked():
     assert kb.query(names) == [("explore",), ("sing",)]
 
 
-def test_what_goes_on_is_told_though_its_events_are_forgotten():
+def test_what_goes_on_is_told_though_its_events_are_forgotten(monkeypatch):
+    monkeypatch.setattr("kb.events._MOST", 100)
     clock = Clock(1.0)
-    kb = KnowledgeBase(robot(), clock=clock, memory=Memory(events=100))
+    kb = KnowledgeBase(robot(), clock=clock)
     kb.measure("light", 0.9)
     kb.request_action("explore")
     PriorityPlanner().plan(kb)
-    kb.component_configured("camera", {"exposure": 0.5})
+    attempt = kb.record_attempt(1, "camera", "configure", "day", {"exposure": 0.5})
+    kb.finish_attempt(attempt, "completed")
     kb.component_active("camera", True)
     kb.component_failed("lidar", "dust")
     kb.assert_status("rest", "unfeasible", "holiday")

@@ -29,7 +29,7 @@ UP, DOWN = (math.nextafter(0.5, end) for end in (math.inf, -math.inf))
 @given(models(), st.integers(1, 3))
 def test_conjunctions_are_exactly_what_makes_an_element_possible(model, limit):
     network = Network(model)
-    nodes = [node for node in network.nodes if node.kind != "attribute"]
+    nodes = [node for node in network.present() if node.kind != "attribute"]
     requirements = Requirements()
     limited = Requirements(limit=limit)
     for numbers in product(GRID, repeat=len(model.attributes)):
@@ -171,7 +171,7 @@ def state_with_faults(chance):
     for component in network.components.values():
         if chance.randint(0, 3) == 0:
             state.failed.add(component)
-    nodes = [node for node in network.nodes if node.kind != "attribute"]
+    nodes = [node for node in network.present() if node.kind != "attribute"]
     for _ in range(chance.randint(0, 2)):
         node = chance.choice(nodes)
         state.asserted[node] = chance.choice(STATUSES[node.kind])
@@ -200,7 +200,7 @@ def test_each_remedy_helps_and_no_fact_of_it_is_idle(chance):
                         if what != dropped and not is_lacking(what)
                     }
                     assert changed(state, rest).status[node] in IMPOSSIBLE, (remedy, dropped)
-    for node in state.network.nodes:
+    for node in state.network.present():
         if node not in unfeasible and node.kind != "attribute":
             assert remedies(state, node) == ((), True)
 
@@ -208,7 +208,7 @@ def test_each_remedy_helps_and_no_fact_of_it_is_idle(chance):
 def worlds(state):
     """Yield what differs in each world that differs in measurements and repairs, and that world."""
     repairs = []
-    for node in state.network.nodes:
+    for node in state.network.present():
         asserted = state.asserted.get(node)
         if asserted in (Status.UNFEASIBLE, Status.VIOLATED):
             repairs.append(Repair("retracted", node.element))

@@ -1,6 +1,5 @@
 """Who listens hinders nobody: not when interrupted, not by answering without end, not by asking another base."""
 
-import logging
 import os
 import threading
 
@@ -35,24 +34,6 @@ def test_others_go_on_hearing_when_one_is_interrupted(error):
     kb.measure("light", 0.2)
     kb.component_failed("camera")
     assert heard == interrupted == [1, 2, 3]
-
-
-def test_one_that_answers_without_end_is_cut_and_named_and_others_hear_all(caplog):
-    kb, heard = base(), []
-
-    def answering_without_end(event):
-        kb.measure("light", event.number / 1e6)
-
-    kb.subscribe(lambda event: heard.append(event.number))
-    kb.subscribe(answering_without_end)
-    with caplog.at_level(logging.ERROR, logger="kb"):
-        kb.measure("light", 0.5)
-    assert "answering_without_end" in caplog.text
-    assert "is called no more" in caplog.text
-    count = kb.log.last
-    assert heard == list(range(1, count + 1))
-    kb.measure("light", 0.6)
-    assert heard[-1] == kb.log.last == count + 1
 
 
 def test_one_that_answers_each_of_many_facts_once_is_never_cut(caplog):

@@ -5,7 +5,6 @@ import pytest
 from kb import Model
 from kb.facts import MeasurementFact, ProcessFact
 from kb.files import ModelFileError
-from kb.typeql import ATTRIBUTES, ROLES, field_of, roles_of, type_of
 
 ROBOT = """insert
 $a isa Action, has action-name 'go'; $f isa Function, has function-name 'move';
@@ -23,23 +22,6 @@ def load(tmp_path):
         return Model.load(paths)
 
     return loaded
-
-
-@pytest.mark.parametrize("kind", ROLES)
-def test_every_role_is_known_by_its_own_name(kind):
-    relation = type_of(kind, None)
-    for role in ROLES[kind]:
-        assert role in roles_of(relation, role.name, None)
-
-
-@pytest.mark.parametrize("kind", ATTRIBUTES)
-def test_every_attribute_is_known_by_its_endings(kind):
-    for field in ATTRIBUTES[kind]:
-        for word in field.words:
-            assert field_of(kind, word).name == field.name
-            assert field_of(kind, f"anything-{word}").name == field.name
-            assert field_of(kind, word.replace("-", "_").upper()).name == field.name
-    assert field_of(kind, "colour") is None
 
 
 @pytest.mark.parametrize(

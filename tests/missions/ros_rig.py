@@ -103,6 +103,10 @@ class Rig:
             until(lambda: not self.is_waiting())
         return self.now - start
 
+    def request(self):
+        self.kb.measure("energy", 0.9)
+        self.kb.request_action("explore")
+
     def explore(self):
         """Let it look by its camera."""
         until(lambda: self.kb.attributes["energy"].value == 0.5, turn=lambda: self.measure(0.5))

@@ -51,7 +51,7 @@ class LifecycleNode:
 
     def vanish(self):
         """End what is left of it in the graph, as 9 s later, or at once after a tidy end."""
-        self.is_frozen = True
+        self.is_frozen = False
         for service in ("get_state", "change_state", "set_parameters_atomically"):
             self.host.unserve(f"{self.name}/{service}")
         self.host.unadvertise(f"{self.name}/transition_event")

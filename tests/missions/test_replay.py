@@ -57,7 +57,6 @@ def test_assertions_about_an_energy_drop_hold():
     decisions.assert_ends("explore", "abandoned", at=20.0)
     decisions.assert_never(action="charge", until=19.9)
     decisions.assert_never(activate="dock", configure="day", since=20.2)
-    assert decisions.kb.attributes["energy"].at(25.0) == 0.1
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import pytest
 from py_trees.common import Status
 from py_trees.composites import Selector
-from ros_rig import WIRES, rig, until
+from ros_rig import rig, until
 from ros_robot import NAVIGATE
 
 from kb import KnowledgeBase, Model
@@ -12,12 +12,6 @@ from missions.wires.node import RosError
 from rosa_bt import RosaAction, TreeRunner
 
 GOAL = {"pose": {"header": {"frame_id": "map"}, "pose": {"orientation": {"w": 1.0}}}}
-
-
-@pytest.fixture(params=WIRES)
-def robot(request):
-    with rig(request.param) as made:
-        yield made
 
 
 class Going:

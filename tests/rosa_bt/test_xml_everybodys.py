@@ -99,7 +99,8 @@ def registry_for(path):
         "root",
         "TreeNodesModel",
     }
-    registry, ports = BehaviourRegistry(), {}
+    registry = BehaviourRegistry()
+    ports = {}
     for identifier, tag, attributes in leaves:
         names = re.findall(r"\b(?<!_)([a-z]\w*)=", attributes)
         ports.setdefault(identifier or tag, set()).update(set(names) - {"name", "ID"})

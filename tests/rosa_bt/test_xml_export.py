@@ -224,7 +224,8 @@ IDIOMS = {
 
 def run(build, seed):
     """Return what a tree did and what the knowledge base came to know, tick by tick."""
-    clock, random = Clock(), Random(seed)
+    clock = Clock()
+    random = Random(seed)
     kb = rover(clock)
     runner = TreeRunner(build(kb), clock=clock)
     happened = []

@@ -104,7 +104,8 @@ def py_trees_trees(draw):
             decorator = draw(st.sampled_from([Inverter, FailureIsSuccess, SuccessIsFailure]))
             child = node(depth - 1)
             return lambda make: decorator("decorator", child(make))
-        composite, memory = draw(st.sampled_from([Sequence, Selector])), draw(st.booleans())
+        composite = draw(st.sampled_from([Sequence, Selector]))
+        memory = draw(st.booleans())
         children = [node(depth - 1) for _ in range(draw(st.integers(1, 3)))]
         return lambda make: composite(
             "composite", memory=memory, children=[child(make) for child in children]
@@ -166,7 +167,9 @@ def test_node_passes_on_setup_and_shutdown(tag):
     runner = TreeRunner(root, clock=Clock())
     runner.setup(node="the node")
     runner.tick()
-    running = [node for node in root.iterate() if type(node) is Device and node.status.name == "RUNNING"]
+    running = [
+        node for node in root.iterate() if type(node) is Device and node.status.name == "RUNNING"
+    ]
     assert not running or root.tip() in running
     runner.shutdown()
     assert Device.said == ["the node"] * count + ["shutdown"] * count

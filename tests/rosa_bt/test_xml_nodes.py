@@ -78,7 +78,10 @@ EXAMPLES = {
 
 
 def leaves_of(scripts):
-    """Return leaves by tag, of scripts such as `a:RS c:F`; c is a condition, the others are actions."""
+    """Return leaves by tag, of scripts such as `a:RS c:F`.
+
+    C is a condition, the others are actions.
+    """
     split = [leaf.split(":") for leaf in scripts.split()]
     return {name: ("C" if name == "c" else "A", script) for name, script in split}
 
@@ -106,7 +109,8 @@ def perform(tree, said, script, clock):
 @pytest.mark.parametrize("row", EXAMPLES)
 def test_node_does_what_its_example_says(row):
     text, leaves, script = EXAMPLES[row]
-    said, clock = [], Clock()
+    said = []
+    clock = Clock()
     tree = load_xml(wrapped(text), registry_of(leaves_of(leaves), said), clock=clock)
     assert perform(tree, said, script, clock) == script
 

@@ -39,7 +39,9 @@ class Say(PortsMixin, Behaviour, register=False):
 
     def __init__(self, name, heard, times: int = 1, loud: bool = False):
         super().__init__(name)
-        self.heard, self.times, self.loud = heard, times, loud
+        self.heard = heard
+        self.times = times
+        self.loud = loud
 
     def update(self):
         self.heard.append((self.get_input("what"), self.times, self.loud))
@@ -70,10 +72,7 @@ def load(content, heard=None, **trees):
 )  # fmt: skip
 def test_leaf_gets_literals_keys_and_defaults(content, inner, expected):
     heard = []
-    if "SubTree" in content:
-        tree = load(content, heard, Sub=inner)
-    else:
-        tree = load(content, heard)
+    tree = load(content, heard, Sub=inner)
     tree.blackboard["x"] = 1
     tree.tick_once()
     assert heard == [expected]
@@ -111,13 +110,6 @@ def test_model_of_a_tree_gives_defaults_and_says_what_is_needed():
     assert heard == [(4, 1, False)]
     with pytest.raises(XmlError, match="needs w="):
         load_xml(text.replace("{0}", ""), registry)
-
-
-def test_key_that_nobody_has_written_is_told_by_name():
-    tree = load('<Add one="{nobody}"/>')
-    TreeRunner(tree, clock=Clock()).tick()
-    assert tree.status is Status.FAILURE
-    assert "no data available" in tree.child.node.feedback_message
 
 
 def test_function_makes_leaves_and_takes_the_blackboard():
