@@ -130,7 +130,7 @@ class Hostile(Listener):
         def tell_back(event):
             if event.verb == "measure" and self.calls < 200:
                 self.calls += 1
-                kb.note_no_choice("")
+                kb.component_started(next(iter(kb.components)), 1)
 
         def dawdle(event):
             if event.verb == "request_action":
@@ -147,7 +147,7 @@ class Hostile(Listener):
         def ask():
             while not self.is_over:
                 kb.selectable_actions()
-                kb.note_no_choice("")
+                kb.component_started(next(iter(kb.components)), 1)
                 time.sleep(0.01)
 
         self.other.subscribe(answer)
