@@ -587,7 +587,13 @@ class _Live(_Graph):
     def _new_records(self, kb: Any) -> Iterator[Individual]:  # noqa: ANN401  # of any class
         """Yield the records that are new or had not ended."""
         history = kb.history
-        for table in (kb.plans, history.actions, history.processes, history.attempts, history.answers):
+        for table in (
+            kb.plans,
+            history.actions,
+            history.processes,
+            history.attempts,
+            history.answers,
+        ):
             for record in table[-RECORDS:]:
                 number = getattr(record, "serial", getattr(record, "number", None)) or record.time
                 word = CLASSES[type(record)]
