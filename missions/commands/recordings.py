@@ -149,7 +149,7 @@ def convert(recording: Path, output: Path) -> None:
 def _model_differences(bag: Bag, decisions: Decisions) -> Iterator[str]:
     model = decisions.kb.model
     try:
-        changed = differences(recorded_model(bag), model, "recording")
+        changed = differences(recorded_model(bag), model)
     except KnowledgeBaseError as error:  # of another version
         changed = [str(error)]
     if changed:
