@@ -51,7 +51,7 @@ class GuardedTree(BehaviourTree):
         self.errors: list[tuple[Behaviour, Exception]] = []
         self._clock = clock
         self._raises = raises
-        self._present: dict[Behaviour, None] = {}
+        self._present: list[Behaviour] = []
         self._bases: dict[KnowledgeBase, None] = {}
         self._setup_arguments: dict[str, Any] | None = None
         on_error(root, self._note_error)
@@ -74,26 +74,34 @@ class GuardedTree(BehaviourTree):
         """
         super().setup(timeout, visitor, **kwargs)
         self._setup_arguments = kwargs
-        self._present = dict.fromkeys(self.root.iterate())
+        self._present = list(self.root.iterate())
 
     def tick(
         self, pre_tick_handler: Handler | None = None, post_tick_handler: Handler | None = None
     ) -> None:
-        """Tick once, with handlers and visitors as in py_trees; if one raises, halt and raise that."""
+        """Tick once, with handlers and visitors as in py_trees, which takes longer."""
         self.errors.clear()
-        tick = self.root.tick
-
-        def watched_tick() -> Iterator[Behaviour]:
+        try:
+            for handler in filter(None, [pre_tick_handler, *self.pre_tick_handlers]):
+                handler(self)
             self._take_all()
+            for visitor in self.visitors:
+                visitor.initialise()
             self.advance_halting()
             self._raise_error()
-            for node in tick():
+            passing = [visitor for visitor in self.visitors if not visitor.full]
+            for node in self.root.tick():
                 self._raise_error()
-                yield node
-
-        vars(self.root)["tick"] = watched_tick
-        try:
-            super().tick(pre_tick_handler, post_tick_handler)
+                for visitor in passing:
+                    node.visit(visitor)
+            full = [visitor for visitor in self.visitors if visitor.full]
+            for node in self.root.iterate() if full else ():
+                for visitor in full:
+                    node.visit(visitor)
+            for visitor in self.visitors:
+                visitor.finalise()
+            for handler in filter(None, [*self.post_tick_handlers, post_tick_handler]):
+                handler(self)
         except BaseException:
             try:
                 halt(self.root)
@@ -101,8 +109,7 @@ class GuardedTree(BehaviourTree):
                 for visitor in self.visitors:
                     getattr(visitor, "interrupt", visitor.finalise)()
             raise
-        finally:
-            vars(self.root)["tick"] = tick
+        self.count += 1
 
     def advance_halting(self) -> None:
         """Call `halting` of the interrupted actions that are not over yet; a tick does it first."""
@@ -134,17 +141,16 @@ class GuardedTree(BehaviourTree):
 
     def _take_all(self) -> None:
         """Take what is new in the tree, and let go of what is no longer in it."""
-        before = self._present
-        self._present = dict.fromkeys(self.root.iterate())
-        if self._present.keys() == before.keys():
+        nodes = list(self.root.iterate())
+        if nodes == self._present:
             return
-        for behaviour in self._present:
-            if behaviour not in before:
-                self._take(behaviour)
-        for behaviour in before:
-            if behaviour not in self._present:
-                halt(behaviour)
-        for behaviour in self._present:  # a composite that lost its current child starts again
+        before = self._present
+        self._present = nodes
+        for behaviour in _difference(nodes, before):
+            self._take(behaviour)
+        for behaviour in _difference(before, nodes):
+            halt(behaviour)
+        for behaviour in nodes:  # a composite that lost its current child starts again
             if not isinstance(behaviour, Selector | Sequence):
                 continue
             if behaviour.current_child not in behaviour.children:
@@ -162,6 +168,11 @@ class GuardedTree(BehaviourTree):
                 behaviour.setup(**self._setup_arguments)
             except Exception as error:
                 report(behaviour, error, " (in setup)")
+
+
+def _difference(nodes: list[Behaviour], others: list[Behaviour]) -> list[Behaviour]:
+    excluded = set(others)
+    return [node for node in nodes if node not in excluded]
 
 
 def _is_trusted(behaviour: Behaviour) -> bool:
