@@ -21,8 +21,8 @@ from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner
 from kb.model import Model
-from kb.optimal import OptimalPlanner
-from kb.planning import Choice, Criterion, Obsolete, Optimum, PriorityPlanner
+from kb.optimal import OptimalPlanner, Optimum
+from kb.planning import Choice, Obsolete, PriorityPlanner
 from kb.processes import ProcessComponents, Program
 from kb.records import (
     Attempt,
@@ -44,7 +44,6 @@ __all__ = [
     "ChoiceExplanation",
     "ComponentKind",
     "ConfigurationManager",
-    "Criterion",
     "DiagnosticProblem",
     "DiagnosticRule",
     "DiagnosticRules",

@@ -1,7 +1,7 @@
 """What a robot is made of and can do, in ROSA's words; only a `Model` makes and changes elements.
 
-An element belongs to one model and equals nothing but itself. The annotation of a field says how the field is checked,
-and whether it may change after the declaration.
+An element belongs to one model and equals nothing but itself. The annotation of a field says how
+the field is checked, and whether it may change after the declaration.
 """
 
 import json
@@ -9,6 +9,7 @@ import math
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from html import escape
@@ -23,15 +24,15 @@ ElementT = TypeVar("ElementT", bound="Element")
 T = TypeVar("T")
 Parameter = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 Parameters = Mapping[str, Parameter]
+_MOST: Final = sys.float_info.max
+_LEAST: Final = 5e-324  # the least number above 0
 
 
 def shown(value: object) -> str:
     """Write any value in short, even one whose `repr` fails."""
     try:
         return f"{value!r:.200}"
-    except (
-        Exception
-    ):  # whole numbers of thousands of digits, lists within themselves, what others have written
+    except Exception:  # numbers of thousands of digits, lists within themselves, what others write
         return f"some {type(value).__name__} that cannot be shown"
 
 
@@ -39,27 +40,23 @@ def finite_number(value: Any) -> float:  # noqa: ANN401  # whatever is given
     """Return the value as a float; text, booleans, NaN and infinities are refused."""
     if type(value) is float and math.isfinite(value):
         return value
-    if isinstance(value, bool | str) or not hasattr(type(value), "__float__"):
-        raise InvalidValue(f"a number is needed, not {shown(value)}")
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    except Exception as error:  # of whatever kind of number it is
-        raise InvalidValue(f"a number is needed, not {shown(value)}: {error}") from None
+    number = math.nan
+    if hasattr(type(value), "__float__") and not isinstance(value, bool):
+        with suppress(Exception):  # of whatever kind of number it is
+            number = float(value)
     if not math.isfinite(number):
         raise InvalidValue(f"a finite number is needed, not {shown(value)}")
     return number
 
 
 def table(caption: str, head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """Return a table as notebooks show it, in HTML with every text escaped; what is None stays empty."""
-    cell = 'style="text-align: left; padding: 2px 12px; border-bottom: 1px solid #8888"'
-    titles = "".join(f'<th scope="col" {cell}>{escape(one)}</th>' for one in head)
-    cells = (("" if one is None else escape(str(one)) for one in row) for row in rows)
-    lines = "".join(f"<tr>{''.join(f'<td {cell}>{one}</td>' for one in row)}</tr>" for row in cells)
-    title = f'<caption style="text-align: left; font-weight: bold">{escape(caption)}</caption>'
-    return f"<table>{title}<thead><tr>{titles}</tr></thead><tbody>{lines}</tbody></table>"
+    """Return a table as notebooks show it, in HTML with every text escaped."""
+    lines = ["".join(f"<th>{escape(title)}</th>" for title in head)]
+    for row in rows:
+        texts = ("" if cell is None else escape(str(cell)) for cell in row)
+        lines.append("".join(f"<td>{text}</td>" for text in texts))
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    return f"<table><caption>{escape(caption)}</caption>{body}</table>"
 
 
 class Rate(NamedTuple):
@@ -109,41 +106,35 @@ def is_number(value: object) -> TypeGuard[int | float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _number(
-    what: str, fits: Callable[[float], bool], *, is_bound: bool = False, can_change: bool = True
-) -> Field:
-    """Return a field for a number that fits, finite unless it is a bound; `what` is the message for other values."""
+def _number(words: str, low: float, high: float, *, can_change: bool = True) -> Field:
+    """Return a field for a number from a lowest to a highest; `words` are for other values."""
 
     def check(field: str, name: str, value: object) -> float:
-        is_finite = is_number(value) and abs(value) <= sys.float_info.max
-        if (
-            is_number(value)
-            and (is_finite or (is_bound and abs(value) == math.inf))
-            and fits(value)
-        ):
-            return float(value)
-        raise ModelError(f"{what.format(field=field, name=name)}, not {shown(value)}")
+        is_fitting = is_number(value) and low <= value <= high
+        if is_fitting and not _MOST < abs(value) < math.inf:  # type: ignore[arg-type]  # a number
+            return float(value)  # type: ignore[arg-type]  # a number
+        raise ModelError(f"{words.format(field=field, name=name)}, not {shown(value)}")
 
     return Field(check, can_change)
 
 
 def _priority(field: str, name: str, value: object) -> float | None:
-    if value is None or (is_number(value) and abs(value) <= sys.float_info.max):
+    if value is None or (is_number(value) and abs(value) <= _MOST):
         return value
     raise ModelError(f"the {field} of {name!r} is a finite number or None, not {shown(value)}")
 
 
 def agreement(field: str, name: str, value: object) -> tuple[int, int]:
     """Return n and k, given as a pair or as text in a file: "2 of 3", "[2, 3]"."""
-    given = [int(one) for one in re.findall(r"\d{1,9}", value)] if isinstance(value, str) else value
-    if isinstance(given, tuple | list) and len(given) == 2:
-        enough, last = given
-        if type(enough) is int and type(last) is int and 0 < enough <= last < 2 * enough:
+    match (
+        [int(digits) for digits in re.findall(r"\d{1,9}", value)]
+        if isinstance(value, str)
+        else value
+    ):
+        case [int(enough), int(last)] if 0 < enough <= last < 2 * enough and type(enough) is int:
             return enough, last
-    raise ModelError(
-        f"{field} of {name!r} is two whole numbers (n, k), n of the last k measurements and more than half of them, "
-        f"e.g. (2, 3); not {shown(value)}"
-    )
+    what = f"{field} of {name!r} is two whole numbers (n, k), n of the last k measurements"
+    raise ModelError(f"{what} and more than half of them, e.g. (2, 3); not {shown(value)}")
 
 
 def forecasting(field: str, name: str, value: object) -> str:
@@ -153,18 +144,17 @@ def forecasting(field: str, name: str, value: object) -> str:
 
 
 def rates(field: str, name: str, value: object) -> tuple[Rate, ...]:
-    """Return rates of change, as they are declared or as JSON has them; the last one for an action holds."""
+    """Return rates of change, also from JSON; the last one for an action holds."""
+    read: Any = json.loads(value) if isinstance(value, str) else value
+    by_action: dict[str, Rate] = {}
     try:
-        read: Any = json.loads(value) if isinstance(value, str) else value
-        given = [
-            Rate(finite_number(rate), text("what it holds while", of), flag("learns", learns))
-            for rate, of, learns in read
-        ]
-    except (TypeError, ValueError, InvalidValue, ModelError) as error:
-        raise ModelError(
-            f"{field} of {name!r} are (per s, while, learns), not {shown(value)}: {error}"
-        ) from None
-    return tuple({one.while_: one for one in given}.values())
+        for rate, action, learns in read:
+            text("what it holds while", action)
+            by_action[action] = Rate(finite_number(rate), action, flag("learns", learns))
+    except (TypeError, ValueError) as error:
+        what = f"{field} of {name!r} are (per s, while, learns)"
+        raise ModelError(f"{what}, not {shown(value)}: {error}") from None
+    return tuple(by_action.values())
 
 
 def whole(what: str, value: object, least: int = 1) -> int:
@@ -185,13 +175,9 @@ def choice(what: str, options: type[ChoiceT], given: object) -> ChoiceT:
 
 def status_of(kind: str, given: object) -> Status:
     """Return a status that elements of a kind can have."""
-    if given not in tuple(Status):
-        known = ", ".join(repr(str(one)) for one in Status)
-        raise InvalidValue(f"{shown(given)} is no status; a status is one of {known}")
     if given not in STATUSES.get(kind, ()):
-        raise InvalidValue(
-            f"a {kind} is never {given!s}; it can be {', '.join(STATUSES.get(kind, ()))}"
-        )
+        known = ", ".join(repr(str(status)) for status in STATUSES.get(kind, ()))
+        raise InvalidValue(f"a {kind} is never {given!s:.60}; it can be {known}")
     return Status(str(given))
 
 
@@ -250,11 +236,9 @@ def parameter_type(value: Parameter) -> str:
 
 
 def _is_scalar(value: object) -> bool:
-    return (
-        abs(value) <= sys.float_info.max
-        if isinstance(value, int | float)
-        else isinstance(value, str)
-    )
+    if isinstance(value, int | float):
+        return abs(value) <= _MOST
+    return isinstance(value, str)
 
 
 class AttributeKind(StrEnum):
@@ -293,20 +277,14 @@ class EstimationKind(StrEnum):
     ABSOLUTE = "absolute"
 
 
-_FLAG: Final = Field(
-    lambda field, name, it: it if type(it) is bool else flag(f"{field} of {name!r}", it)
-)
-_TEXT: Final = Field(
-    lambda field, name, it: it if type(it) is str else text(f"the {field} of {name!r}", it), False
-)
+_FLAG: Final = Field(lambda field, name, value: flag(f"{field} of {name!r}", value))
+_TEXT: Final = Field(lambda field, name, value: text(f"the {field} of {name!r}", value), False)
 _NUMBER: Final = Field(lambda _, __, value: finite_number(value))
 _PRIORITY: Final = Field(_priority)
-_SPAN: Final = _number("the {field} of {name!r} is a number from 0", lambda value: value >= 0)
-_AGE: Final = _number(
-    "{field} of {name!r} is a time in seconds above 0", lambda value: value > 0, is_bound=True
-)
+_SPAN: Final = _number("the {field} of {name!r} is a number from 0", 0, _MOST)
+_AGE: Final = _number("{field} of {name!r} is a time in seconds above 0", _LEAST, math.inf)
 _RANGE: Final = "the {field} end of the range of {name!r} is a number"
-_BOUND: Final = _number(_RANGE, lambda _: True, is_bound=True, can_change=False)
+_BOUND: Final = _number(_RANGE, -math.inf, math.inf, can_change=False)
 _AGREEMENT: Final = Field(agreement)
 _FORECASTING: Final = Field(forecasting)
 _RATES: Final = Field(rates)
@@ -425,14 +403,13 @@ class Element:
     name: str
     model: Owner = field(repr=False, compare=False)
 
-    def __reduce__(self) -> tuple[Callable[..., "Element"], tuple[object, ...]]:
-        return _element_of, (self.model, KINDS[type(self)], self.name)
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[object, ...]]:
+        return _element_of, (self.model, type(self), self.name)
 
 
-def _element_of(model: Any, kind: str, name: str) -> Element:  # noqa: ANN401  # a model, read anew
+def _element_of(model: Any, cls: type, name: str) -> Any:  # noqa: ANN401  # a model, read anew
     """Return the element of a model that was pickled or copied."""
-    tables: Mapping[type, Mapping[str, Element]] = model.tables
-    return next(table[name] for cls, table in tables.items() if KINDS[cls] == kind)
+    return model.tables[cls][name]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -694,18 +671,15 @@ def meant_by(name: object, tables: Mapping[str, Mapping[str, T]], what: str, adv
     Raises:
         AmbiguousName: several kinds have such a name, and an advice what to do then is given.
     """
-    found = {
-        kind: table[name]
-        for kind, table in tables.items()
-        if isinstance(name, str) and name in table
-    }
-    if not found:
-        raise UnknownName(what, name, [one for table in tables.values() for one in table])
-    if advice and len(found) > 1:
-        kinds = ", ".join(f"{'an' if kind[0] == 'a' else 'a'} {kind}" for kind in found)
-        first = f"{next(iter(found)).removeprefix('function ')}s[{name!r}]"
+    is_text = isinstance(name, str)
+    named = {kind: table[str(name)] for kind, table in tables.items() if is_text and name in table}
+    if not named:
+        raise UnknownName(what, name, [each for table in tables.values() for each in table])
+    if advice and len(named) > 1:
+        kinds = ", ".join(f"{'an' if kind[0] == 'a' else 'a'} {kind}" for kind in named)
+        first = f"{next(iter(named)).removeprefix('function ')}s[{name!r}]"
         raise AmbiguousName(f"{name!r} names several things: {kinds}; {advice}{first}")
-    return next(iter(found.values()))
+    return next(iter(named.values()))
 
 
 def exact(value: float) -> str:

@@ -51,7 +51,6 @@ _WORDS: Final[Mapping[str, str | tuple[str, str]]] = {
     "cancel_action": "{0} is {1}{because}",
     "assert_required": ("{0} is no longer asserted required", "{0} is asserted required"),
     "assert_selected": ("{0} is not selected{reason}", "{0} is selected{reason}"),
-    "note_no_choice": ("something can be selected again", "nothing can be selected because {0}"),
     "finish_plan": "plan {0} is {1}",
     "finish_attempt": "attempt {0} is {1}{reason}",
     "record_answer": ("plan {0} may be executed{reason}", "plan {0} is vetoed{reason}"),
@@ -60,8 +59,6 @@ _WORDS: Final[Mapping[str, str | tuple[str, str]]] = {
     "begin": "begins with what the model states",
 }
 """An event in words by its verb, of two for something that is not so, or is so."""
-_DECIDING: Final = {"note_no_choice": 0, "progress": 2}
-"""The argument that says whether it is so, by verb; else the second one."""
 
 
 class StatusChange(NamedTuple):
@@ -133,7 +130,7 @@ class Event(NamedTuple):
         if words is None:
             return f"{self.verb.replace('_', ' ')}: {', '.join(map(str, arguments))}"
         if isinstance(words, tuple):
-            words = words[bool(arguments[_DECIDING.get(self.verb, 1)])]
+            words = words[bool(arguments[2 if self.verb == "progress" else 1])]
         last = arguments[-1] if arguments else ""
         return words.format(
             self.subject or (arguments and arguments[0]),
@@ -278,7 +275,7 @@ class Publisher:
 
     def deliver(self) -> None:
         """Call the subscribers with new events, unless a thread does so already; then it goes on with these."""
-        while any(one.last < self._log.last for one in self.subscribers) and not self.is_held():
+        while any(subscriber.last < self._log.last for subscriber in self.subscribers) and not self.is_held():
             turn: list[bool] = []
             try:
                 turn.extend(map(self._turn.acquire, (False,)))  # taken and noted in one step

@@ -197,10 +197,7 @@ class _Explainer:
             return f"it is required and not active{state.reason('active', node)}", ()
         if node.kind == "component" or not parts:
             kind = "configurations" if node.kind == "component" else "designs"
-            reason = state.reason("unselected", node)
-            if not reason.text:
-                reason = state.reason("selected", node)
-            return f"none of its {kind} is selected{reason}", ()
+            return f"none of its {kind} is selected{state.reason('unselected', node)}", ()
         if node.kind == "function":
             return "", self._all(parts)
         return "", self._each(part for part in parts if state.status[part] is not Status.SOLVED)
@@ -437,21 +434,17 @@ def explain_choice(state: State, node: Node, now: float) -> ChoiceExplanation:
     kind = "design" if node.kind == "function" else "configuration"
     possible = ranked(state, node)
     selected = next((part for part in node.requires if part in state.selected), None)
-    why_none = state.reason("selected", node).text
     given = "" if selected is None else state.reason("selected", selected).text
     preferred = [part for part in possible if part is selected or not given]
-    first = preferred[0] if preferred and not why_none else None
+    first = preferred[0] if preferred else None
     chosen = selected or first
     if chosen is None:
         reason = f"each {kind} of it is unfeasible" if node.requires else f"it has no {kind}"
-        reason = why_none or reason
     elif chosen not in possible:
         reason = f"it was possible before; now {why(state, chosen, now)}"
     else:
         reason = "it was preferred before"
-        if why_none:
-            reason += f"; now nothing would be: {why_none}"
-        elif chosen is first:
+        if chosen is first:
             reason = given or _advantage(possible, kind)
         if not state.is_required(node):
             reason += f"; nothing requires the {node.kind} now"
@@ -461,8 +454,6 @@ def explain_choice(state: State, node: Node, now: float) -> ChoiceExplanation:
             continue
         if part not in possible:
             why_not = f"it{why(state, part, now).removeprefix(part.name)}"
-        elif why_none:
-            why_not = "no choice with it would work either"
         elif given:
             is_part = "is not part of that choice" if first else "is possible, but not selected yet"
             why_not = f"it {is_part}"

@@ -5,7 +5,6 @@ event, in a single step: from there on the event is in. Then it applies the even
 assigns, so that whoever comes next can repeat what an interrupt cut short.
 """
 
-import copyreg
 import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,7 +15,6 @@ from math import inf, isfinite
 from operator import attrgetter
 from pathlib import Path
 from threading import Lock, RLock
-from types import MappingProxyType
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 from weakref import WeakSet, finalize
 
@@ -44,7 +42,7 @@ from kb.explain import reading as reading_in_words
 from kb.explain import staleness, why, why_selected
 from kb.forecast import Forecaster, feasible_until
 from kb.model import Model, Serials, amend, amendment
-from kb.network import Network, Node, Ref
+from kb.network import Network, Node
 from kb.ontology import Answer, Ontology
 from kb.planning import by_owner, decide
 from kb.records import (
@@ -94,13 +92,6 @@ def _release_locks() -> None:
 os.register_at_fork(
     before=_hold_locks, after_in_parent=_release_locks, after_in_child=_release_locks
 )
-
-
-def _read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
-    return MappingProxyType(values)
-
-
-copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
 
 
 def _update(
@@ -229,7 +220,6 @@ class KnowledgeBase:
         self._publisher = Publisher(self.log, self._lock)
         self._reading = Reading(self._lock, self._settled)
         self.forecast = Forecaster(self)
-        self.history = HistoryView(self._records, self.reading)
         self.actions = views.Views(self, network.actions, views.ActionView)
         self.functions = views.Views(self, network.functions, views.FunctionView)
         self.components = views.Views(self, network.components, views.ComponentView)
@@ -240,6 +230,7 @@ class KnowledgeBase:
             self._restore(self.store)
         elif model.facts:
             self._begin(model.facts, self._now)
+        self.history = HistoryView(self._records, self.reading)
         self._ontology = Ontology(self)
         self._observer = _ModelObserver(
             self._catch_up_with_time, self._record_amendment, self._publish
@@ -602,12 +593,6 @@ class KnowledgeBase:
         self._record("finish_plan", (record.number, result), record.cause)
         return True
 
-    @_update
-    def note_no_choice(self, reason: str) -> None:
-        """Give explanations the reason why nothing can be selected for what is required; empty if something can."""
-        text("the reason why nothing can be selected", reason)
-        self._record("note_no_choice", (reason,))
-
     # ---------------------------------------------------------------- told: records
 
     @_update
@@ -706,22 +691,23 @@ class KnowledgeBase:
         if verb in ("begin", "store") or (self._is_timed and verb in ("dwell", "lapse")):
             self._catch_up_with_time()
             return
+        arguments = event.arguments if verb else ()
+        if verb in ("stale", "dwell", "lapse"):
+            arguments = verb, *arguments
+            verb = "replay_due"
         if verb not in _REPLAYABLE:
             verbs = ", ".join(sorted(_REPLAYABLE))
             raise InvalidValue(
                 f"{event!r} cannot be replayed; an event that can has one of the verbs {verbs}"
             )
-        keywords = {}
-        if verb in ("request_action", "cancel_action", "select"):
-            keywords = {"cause": event.cause}
+        is_caused = verb in ("request_action", "cancel_action", "select")
+        keywords = {"cause": event.cause} if is_caused else {}
         try:
-            _REPLAYABLE[verb](self, *event.arguments, **keywords)
+            _REPLAYABLE[verb](self, *arguments, **keywords)
         except (AttributeError, LookupError, TypeError) as error:
             if isinstance(error, KnowledgeBaseError):
                 raise
-            raise InvalidValue(
-                f"{verb} cannot be replayed with {event.arguments!r}: {error}"
-            ) from None
+            raise InvalidValue(f"{verb} cannot be replayed with {arguments!r}: {error}") from None
 
     def _amend(self, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
         amend(self.model, self._serials, how, written)
@@ -735,18 +721,11 @@ class KnowledgeBase:
             self._record("progress", (action, behaviour, saved))
 
     @_update
-    def _stale(self, name: str) -> None:
-        node = self._network.attributes[name]
-        if node in self._state.value and node not in self._state.stale:
-            self._record_due(self._now, "stale", node)
-
-    @_update
-    def _dwell(self, ref: Ref) -> None:
-        self._record_due(self._now, "dwell", self._network.referred(ref))
-
-    @_update
-    def _lapse(self, ref: Ref, status: str) -> None:
-        self._record_due(self._now, "lapse", self._network.referred(ref))
+    def _replay_due(self, verb: str, element: Any, *_: object) -> None:  # noqa: ANN401  # a name or reference
+        is_stale = verb == "stale"
+        node = self._network.attributes[element] if is_stale else self._network.referred(element)
+        if not is_stale or (node in self._state.value and node not in self._state.stale):
+            self._record_due(self._now, verb, node)
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
         """Call a function with every event from now on, in order; returns a function that ends the subscription.
@@ -984,6 +963,8 @@ class KnowledgeBase:
         """Follow the model as it is now; it can be repeated."""
         assert self._amendment is not None  # an amendment is noted before it is recorded
         self._network.renew()
+        for node in set(self._changed_by).difference(self._network.present()):
+            del self._changed_by[node]
         changed = []
         if self._amendment.how != "removed":
             changed = [
@@ -1015,29 +996,17 @@ class KnowledgeBase:
 
     # ---------------------------------------------------------------- the store
 
-    def _snapshot(self) -> dict[str, Any]:
-        """Return all that is known as values that JSON can hold."""
-        present = set(self._network.present())
-        return {
-            "state": self._state.to_json(),
-            "records": self._records.to_json(),
-            "changed_by": [
-                [node.ref, number] for node, number in self._changed_by.items() if node in present
-            ],
-            "feasibility": self._feasibility,
-            "revision": self._revision,
-        }
+    def _snapshot(self) -> tuple[object, ...]:
+        """Return all that is known."""
+        causes = self._changed_by, self._feasibility
+        return self._state, self._records, *causes, self._revision
 
     def _restore(self, store: Store) -> None:
         """Begin with what a store holds: a snapshot, and the events after it."""
-        snapshot, events = store.restored()
+        snapshot, events = store.restored(self._network)
         if snapshot is not None:
-            self._state.from_json(snapshot["state"])
-            self._records.from_json(snapshot["records"])
-            for ref, number in snapshot["changed_by"]:
-                self._changed_by[self._network.referred(ref)] = number
-            self._feasibility = snapshot["feasibility"]
-            self._revision = snapshot["revision"]
+            self._state, self._records, self._changed_by = snapshot[:3]
+            self._feasibility, self._revision = snapshot[3:]
         for event in events:
             self.log.resume(event.number - 1)
             if event.verb == "begin":
@@ -1093,4 +1062,4 @@ def _matters(event: Event) -> bool:
         return event.plan is None and bool(event.effects)
     if verb == "finish_plan":
         return bool(event.arguments[1] != "failed")
-    return verb not in RECORDS and verb != "note_no_choice"
+    return verb not in RECORDS

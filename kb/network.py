@@ -51,6 +51,7 @@ class Node:
         "kind",
         "level",
         "name",
+        "network",
         "requires",
         "used_by",
     )
@@ -62,7 +63,10 @@ class Node:
     requires: list["Node"]
     used_by: list["Node"]
 
-    def __init__(self, index: int, kind: str, element: Element | Constraint) -> None:
+    def __init__(
+        self, network: "Network", index: int, kind: str, element: Element | Constraint
+    ) -> None:
+        self.network = network
         self.index = index  # the order of declaration
         self.kind = kind
         self.level = LEVELS[kind]
@@ -86,6 +90,9 @@ class Node:
             return self.kind, self.name
         owner = self.used_by[0]
         return owner.kind, owner.name, owner.constraints.index(self)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Network.referred, (self.network, self.ref)
 
     def __repr__(self) -> str:
         return f"<{self.kind} {self.name!r}>"
@@ -114,6 +121,9 @@ class Network:
         tables = {KINDS[cls]: table for cls, table in self._tables.items() if cls is not Constraint}
         self.kinds: Mapping[str, Mapping[str, Node]] = ByName("kind of element", tables)
         self.renew()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Network, (self.model,)
 
     def present(self) -> Iterator[Node]:
         """Yield the node of every element that is in the model."""
@@ -156,7 +166,7 @@ class Network:
             for key, element in elements.items():
                 node = nodes.get(key)
                 if node is None or node.element is not element:
-                    node = Node(self._count, KINDS[cls], element)
+                    node = Node(self, self._count, KINDS[cls], element)
                     self._count += 1
                 node.name = str(key)
                 node.constraints, node.debounced = [], []

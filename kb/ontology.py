@@ -310,7 +310,7 @@ class _Graph:
         if own in self._things:
             owlready2.destroy_entity(self._things.pop(own))
 
-    def _values(self, own: str, name: str, field: str, value: Any) -> Iterator[Any]:  # noqa: ANN401
+    def _values(self, own: str, name: str, field: str, value: Any) -> Iterator[Any]:  # noqa: ANN401  # of any class
         """Yield the values of a property for a field, as owlready2 takes them."""
         if field in ("agreement", "rates"):
             value = json.dumps(value) if value else ""
@@ -441,7 +441,7 @@ class _Reader:
                 stated[field] = read[0]
         return stated
 
-    def _read(self, cls: type, field: str, name: str, value: Any) -> Any:  # noqa: ANN401
+    def _read(self, cls: type, field: str, name: str, value: Any) -> Any:  # noqa: ANN401  # of any class
         if not _RANGES.get(name, "text")[0].isupper():
             return _unfit(value) if isinstance(value, str) else value
         if name == "hasParameter":
@@ -584,10 +584,16 @@ class _Live(_Graph):
                     stated["status"] = str(state.asserted[node])
                 yield (word, self.ids[node.element]), stated
 
-    def _new_records(self, kb: Any) -> Iterator[Individual]:  # noqa: ANN401
+    def _new_records(self, kb: Any) -> Iterator[Individual]:  # noqa: ANN401  # of any class
         """Yield the records that are new or had not ended."""
         history = kb.history
-        for table in (kb.plans, history.actions, history.processes, history.attempts, history.answers):
+        for table in (
+            kb.plans,
+            history.actions,
+            history.processes,
+            history.attempts,
+            history.answers,
+        ):
             for record in table[-RECORDS:]:
                 number = getattr(record, "serial", getattr(record, "number", None)) or record.time
                 word = CLASSES[type(record)]

@@ -1,5 +1,6 @@
 """The records: requested actions, reconfiguration plans, processes, attempts, and vetoes of plans."""
 
+import copyreg
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields
@@ -309,22 +310,20 @@ class Records:
         start = fact.start
         if start is None:
             start = now if fact.end is None else fact.end
+        values = {field.name: getattr(fact, field.name) for field in fields(fact)}
+        values |= {"start": start, "number": number}
         if isinstance(fact, ProcessFact):
-            self._add(Process(fact.component, fact.pid, start, fact.end, number))
+            self._add(Process(**values))
             return
-        end = start if fact.end is None and fact.result is not None else fact.end
+        if fact.end is None and fact.result is not None:
+            values["end"] = start
         if isinstance(fact, PlanFact):
-            steps = fact.activate, fact.deactivate, fact.parameters
-            of = len(self.plans) + 1
-            why = "stated by the model"
-            self._add(ReconfigurationPlan(*steps, why, start, end, fact.result, number=of))
+            values |= {"reason": "stated by the model", "number": len(self.plans) + 1}
+            self._add(ReconfigurationPlan(**values))
             return
-        preference: str | Mapping[str, float] | None = None
-        if fact.preference:
-            preference = MappingProxyType(dict(fact.preference))
-            if list(fact.preference.values()) == [1.0]:
-                (preference,) = fact.preference
-        self._add(RequiredAction(fact.action, preference, start, end, fact.result, number=number))
+        if fact.preference and list(fact.preference.values()) == [1.0]:
+            (values["preference"],) = fact.preference
+        self._add(RequiredAction(**values))
 
     def plan_of(self, plan: object) -> ReconfigurationPlan:
         """Return a plan of these records, given by itself or by its number."""
@@ -337,32 +336,6 @@ class Records:
             f"{plan!r} is not a plan of this knowledge base; give one of kb.plans "
             f"(numbers: {numbers})"
         )
-
-    def to_json(self) -> dict[str, Any]:
-        """Return all records as values that JSON can hold."""
-        tables = self._tables.values()
-        return {
-            "records": [[written(record) for record in table.values()] for table in tables],
-            "end_reasons": list(self.end_reasons.items()),
-            "last_end": self.last_end,
-            "rejected": self.rejected,
-            "progress": [[*key, saved] for key, saved in self.progress.items()],
-        }
-
-    def from_json(self, written: Mapping[str, Any]) -> None:
-        """Restore the records that `to_json` returned."""
-        for cls, records in zip(_CLASSES, written["records"], strict=True):
-            for values in records:
-                if "plan" in values:
-                    values["plan"] = self.plans[values["plan"]]
-                self._add(restored(cls, values))
-        self.end_reasons = dict(written["end_reasons"])
-        if written["last_end"]:
-            time, number = written["last_end"]
-            self.last_end = time, number
-        self.rejected = written["rejected"]
-        for action, behaviour, saved in written["progress"]:
-            self.progress[action, behaviour] = saved
 
 
 class HistoryView:
@@ -418,6 +391,13 @@ class HistoryView:
 def check_result(result: str) -> None:
     if result not in RESULTS:
         raise InvalidValue(f"{result!r} is no result; a result is one of {', '.join(RESULTS)}")
+
+
+def read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(values)
+
+
+copyreg.pickle(MappingProxyType, lambda mapping: (read_only, (dict(mapping),)))
 
 
 def written(record: Record) -> dict[str, Any]:

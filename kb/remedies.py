@@ -52,7 +52,7 @@ class Interval(NamedTuple):
     def meet(self, other: "Interval") -> "Interval":
         return Interval(max(self.low, other.low), min(self.high, other.high))
 
-    def text(self, attribute: str, unit: str = "") -> str:
+    def text(self, attribute: object, unit: str = "") -> str:
         """Write it as comparisons of an attribute, e.g. "light >= 0.2 and light < 0.8"."""
         words = []
         for sign, bound, outside in ((">", self.low, -math.inf), ("<", self.high, math.inf)):

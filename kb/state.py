@@ -7,10 +7,9 @@ constraint, configuration, component, design, function, action.
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from operator import attrgetter
-from types import MappingProxyType
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from kb.debounce import NEVER, Debounced, debounce, policy_status, voted_status
 from kb.elements import Parameters
@@ -29,15 +28,6 @@ from kb.status import (
 
 KEPT: Final = 10_000
 """How many measurements of each attribute are kept: the newest ones."""
-_FLAGS: Final = ("stale", "failed", "active", "selected", "requested", "asserted_required")
-_READ: Final[Mapping[str, Callable[[Any], Any]]] = {
-    "value": float,
-    "time": float,
-    "asserted": Status,
-    "votes": lambda votes: tuple(map(tuple, votes)),
-    "debounced": lambda values: Debounced(*map(_status, values)),
-}
-"""The facts that are values by node, and how each is read from JSON."""
 
 
 class Reason(NamedTuple):
@@ -212,11 +202,6 @@ class State:
                 for node in nodes:
                     self.give_reason("selected", node, reason if node in self.selected else "")
                     self.give_reason("unselected", node.used_by[0])
-            case "note_no_choice", (reason,):
-                for node in network.functions.values():
-                    self.give_reason("selected", node, reason if self.is_required(node) else "")
-                for node in network.components.values():
-                    self.give_reason("selected", node, reason if self.serves(node) else "")
         self.infer()
 
     def changed(self) -> list[Node]:
@@ -477,57 +462,6 @@ class State:
             if constraint in attribute.debounced:
                 self.debounced[constraint] = Debounced()
         self._schedule_attribute(attribute, now)
-
-    # ---------------------------------------------------------------- as JSON
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the facts as values that JSON can hold, with the newest measurements."""
-        facts = vars(self)
-        reasons = [[fact, node.ref, *why] for (fact, node), why in self.reasons.items()]
-        histories = [[node.ref, list(past)] for node, past in self.histories.items()]
-        return {
-            **{name: [node.ref for node in in_order(facts[name])] for name in _FLAGS},
-            **{name: [[node.ref, value] for node, value in facts[name].items()] for name in _READ},
-            "reasons": reasons,
-            "parameters": {name: dict(values) for name, values in self.parameters.items()},
-            "histories": histories,
-        }
-
-    def from_json(self, written: Mapping[str, Any]) -> None:
-        """Restore what `to_json` returned."""
-        find = self.network.referred
-        facts = vars(self)
-        for name in _FLAGS:
-            facts[name] = {find(ref) for ref in written[name]}
-        for name, read in _READ.items():
-            facts[name] = {find(ref): read(value) for ref, value in written[name]}
-        for fact, ref, *why in written["reasons"]:
-            self.reasons[fact, find(ref)] = Reason(*why)
-        for name, values in written["parameters"].items():
-            self.parameters[name] = MappingProxyType(values)
-        for ref, rows in written["histories"]:
-            self.histories[find(ref)] = deque(map(tuple, rows), self.keep)
-        for node, time in self.time.items():
-            self._schedule_attribute(node, time)
-        for node in self.asserted:
-            self._schedule("lapse", node, self.reason("asserted", node).until)
-        self.touch(self.network.present())
-        self.infer()
-        self.before = {}
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and deep-copy a state by its facts; the statuses are inferred again."""
-        return _restored, (self.network.model, self.keep, self.to_json())
-
-
-def _restored(model: Any, keep: int, written: Mapping[str, Any]) -> State:  # noqa: ANN401  # a `Model`
-    state = State(Network(model), keep)
-    state.from_json(written)
-    return state
-
-
-def _status(value: Any) -> Any:  # noqa: ANN401  # a field of what is debounced
-    return Status(value) if isinstance(value, str) else value
 
 
 def _put(nodes: set[Node], node: Node, is_in: bool) -> None:

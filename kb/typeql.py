@@ -10,14 +10,14 @@ import math
 import re
 import tomllib
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
-from lark import Lark, Token, Transformer, UnexpectedInput, UnexpectedToken, v_args
+from lark import Lark, Token, Transformer, UnexpectedCharacters, UnexpectedToken, v_args
 
 from kb import elements, facts
 from kb.elements import Configuration, Constraint, Element, finite_number
@@ -152,20 +152,27 @@ def parse(text: str, file: str) -> list[Query]:
         return _parser().parse(text)  # type: ignore[return-value]  # made by _Statements
     except _WrongWord as wrong:
         raise _place(file, wrong.word).error(str(wrong)) from None
-    except UnexpectedInput as error:
-        is_token = isinstance(error, UnexpectedToken)
-        allowed = (error.accepts or error.expected) if is_token else error.allowed  # type: ignore[attr-defined]  # of each class
-        names = sorted({name.strip("_").lower() for name in allowed or ()} - {"$end"})
-        wanted = f"expected {', '.join(names)}"
-        word = str(error.token) if is_token else text[error.pos_in_stream or 0]  # type: ignore[attr-defined]
-        if is_token and error.token.type == "$END":  # type: ignore[attr-defined]
+    except UnexpectedCharacters as error:
+        word = text[error.pos_in_stream or 0]
+        raise _unexpected(word, error.allowed, file, error.line, error.column) from None
+    except UnexpectedToken as error:
+        line, column = error.line, error.column
+        if error.token.type == "$END":
             line, column = text.count("\n") + 1, len(text) - text.rfind("\n")
-            raise ModelFileError(f"the file ends here; {wanted}", file, line, column) from None
-        message = f"unexpected `{word:.40}`; {wanted}"
-        if word in _READING:
-            does = "changes" if word in _CHANGING else "reads"
-            message = f"`{word}` {does} a database; a model file only states: use `insert`"
-        raise ModelFileError(message, file, error.line, error.column) from None
+        allowed = error.accepts or error.expected
+        raise _unexpected(str(error.token), allowed, file, line, column) from None
+
+
+def _unexpected(
+    word: str, allowed: Iterable[str], file: str, line: int, column: int
+) -> ModelFileError:
+    names = sorted({name.strip("_").lower() for name in allowed} - {"$end"})
+    message = f"unexpected `{word:.40}`" if word else "the file ends here"
+    message += f"; expected {', '.join(names)}"
+    if word in _READING:
+        does = "changes" if word in _CHANGING else "reads"
+        message = f"`{word}` {does} a database; a model file only states: use `insert`"
+    return ModelFileError(message, file, line, column)
 
 
 def _place(file: str, word: Token) -> Place:
@@ -539,7 +546,7 @@ class _Builder:
             steps: dict[str, Any] = {name: tuple(self._steps(thing, name)) for name in _STEPS}
             yield thing.order, facts.PlanFact(**steps, **self._period(thing)), thing.place
 
-    def _stated(self, thing: Thing, element: Any, name: str, own: Own) -> Iterator[Fact]:  # noqa: ANN401
+    def _stated(self, thing: Thing, element: Any, name: str, own: Own) -> Iterator[Fact]:  # noqa: ANN401  # of any class
         if name == "pid":
             yield facts.ProcessFact(element.name, own.value)
         elif name == "active" and own.value:

@@ -39,11 +39,11 @@ COMMANDS: Final = {
     "record": ("recordings:record", "Look at a recording, or put it in another form."),
     "check": ("check:check", "Judge a model, and say what to do about each finding."),
     "plan": (
-        "check:plan",
+        "plan:plan",
         "Plan, say why actions are out and why there is no plan, and exit with 0 if there is one.",
     ),
     "verify": (
-        "check:verify",
+        "plan:verify",
         "Say what holds in everything that can happen; exit with 0 if all of it does.",
     ),
     "campaign": ("experiments:campaign", "Run missions with many managers, settings and seeds."),

@@ -266,7 +266,7 @@ def level_of(event: Event) -> str:
         return "error"
     is_vetoed = event.verb == "record_answer" and bool(event.arguments[1])
     is_lost = any(change.new is Status.UNFEASIBLE for change in event.changes)
-    return "warning" if is_vetoed or is_lost or event.verb == "note_no_choice" else "info"
+    return "warning" if is_vetoed or is_lost else "info"
 
 
 # -------------------------------------------------------------------- from cause to effect

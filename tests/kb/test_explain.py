@@ -36,7 +36,9 @@ def state_after(story):
 
 
 def statused(state):
-    return [node for node in state.network.present() if node.kind not in ("attribute", "constraint")]
+    return [
+        node for node in state.network.present() if node.kind not in ("attribute", "constraint")
+    ]
 
 
 def nodes_of(cause, owner):

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from kb import DuplicateName, Model, ModelError
 from kb.files import ModelFileError
 
-
 FILES = sorted(Path(__file__).with_name("typeql_files").glob("*.tql"))
 ROBOT = """insert
 $a isa Action, has action-name 'go';

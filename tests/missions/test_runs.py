@@ -122,6 +122,23 @@ def test_run_that_is_over_says_whether_time_ran_out(news, tree, outcome):
     assert run.world.is_closed
 
 
+@pytest.mark.parametrize("task", TASK_KINDS)
+def test_run_that_is_interrupted_leaves_nothing_open(task):
+    run = open_run(find_mission("suave_extended"), task=task)
+    advance = run.world.advance
+
+    def interrupted(until):
+        if run.world.now > 5.0:
+            raise KeyboardInterrupt
+        return advance(until)
+
+    run.world.advance = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        run.run()
+    assert [action.result for action in run.actions] == ["abandoned"]
+    assert run.kb.required_actions == ()
+
+
 class Planning(Running):
     """A behaviour that plans by itself."""
 

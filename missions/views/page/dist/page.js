@@ -1,4 +1,4 @@
-/*! sources e152e95e2b3a7d84fba5c3fa092e7768d2aeed322cbbdc5c9cbf06541f79bc77
+/*! sources 518cf0f613b40991d1f1a867003f4a64fc1d548e1dce03034d8d2206953f5547
 
 @preact/signals: The MIT License (MIT)
 
