@@ -374,9 +374,7 @@ class TreeRunner:
         self._ticks = 0
         return now
 
-    def _forget_progress(
-        self, *, keeps_earlier: bool = False, is_shut_down: bool = False
-    ) -> None:
+    def _forget_progress(self, *, keeps_earlier: bool = False, is_shut_down: bool = False) -> None:
         for action in self.tree.root.iterate():
             if isinstance(action, RosaAction) and not (is_shut_down and action.kb.store):
                 forget_progress(action.kb, action.name, keeps_earlier=keeps_earlier)
