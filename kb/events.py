@@ -275,7 +275,10 @@ class Publisher:
 
     def deliver(self) -> None:
         """Call the subscribers with new events, unless a thread does so already; then it goes on with these."""
-        while any(subscriber.last < self._log.last for subscriber in self.subscribers) and not self.is_held():
+        while (
+            any(subscriber.last < self._log.last for subscriber in self.subscribers)
+            and not self.is_held()
+        ):
             turn: list[bool] = []
             try:
                 turn.extend(map(self._turn.acquire, (False,)))  # taken and noted in one step
