@@ -156,9 +156,11 @@ def parse(text: str, file: str) -> list[Query]:
         word = text[error.pos_in_stream or 0]
         raise _unexpected(word, error.allowed, file, error.line, error.column) from None
     except UnexpectedToken as error:
-        line, column = error.line, error.column
+        line = error.line
+        column = error.column
         if error.token.type == "$END":
-            line, column = text.count("\n") + 1, len(text) - text.rfind("\n")
+            line = text.count("\n") + 1
+            column = len(text) - text.rfind("\n")
         allowed = error.accepts or error.expected
         raise _unexpected(str(error.token), allowed, file, line, column) from None
 
@@ -625,7 +627,8 @@ def _parameters(configuration: Thing) -> dict[str, elements.Parameter]:
 
 def _parameter(thing: Thing) -> elements.Parameter:
     """Return the value of a parameter as its type says."""
-    value, label = thing.required("value"), thing.value("type")
+    value = thing.required("value")
+    label = thing.value("type")
     if label is None:
         return value  # type: ignore[no-any-return]  # a literal
     word = _plain(label).removeprefix("parameter")

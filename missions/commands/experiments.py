@@ -1,10 +1,7 @@
 """`rosa campaign`, `rosa report` and `rosa learn`: many runs, and what came of them."""
 
 import shlex
-from collections.abc import Callable
-from contextlib import closing
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated
@@ -15,17 +12,12 @@ from rich.markup import escape
 
 from missions.commands import FAILED, ROBOT, open_console
 from missions.engine.mission import MissionError, find_robot, needs
-from missions.experiments.campaign import (
-    Campaign,
-    Store,
-    check_campaign,
-    paper_table,
-    read_campaign,
-    read_store,
-)
+from missions.experiments.campaign import Campaign, check_campaign, paper_table, read_campaign
 from missions.experiments.learning import learn as learned_from
 from missions.experiments.learning import read_runs
-from missions.experiments.workers import Cluster, Processes, Workers, conduct
+from missions.experiments.results import Results, Store
+from missions.experiments.workers import cluster as open_cluster
+from missions.experiments.workers import conduct, processes
 from missions.views.console import CampaignProgress
 from missions.views.report import write_report as write_page
 
@@ -66,17 +58,38 @@ def campaign(
         check_campaign(asked)
     folder = out or Path("campaigns") / (asked.name if asked else "")
     console = Console(emoji=False, soft_wrap=True, highlight=False)
+    shown = CampaignProgress(console)
+    started = perf_counter()
     with Store(folder, asked, resume=resume) as store:
-        modules = store.campaign.own_modules
-        words = [str(file)] if modules else []  # a folder must not say what is imported
-        words += ["--runs", str(runs)] if modules and runs is not None else []
-        words += ["--resume", "--out", str(folder), *(["--cluster", cluster] if cluster else [])]
-        again = f"rosa campaign {shlex.join(words)}"
-        open_workers = (
-            partial(Processes, workers) if cluster is None else partial(Cluster, cluster, modules)
-        )
-        if _conduct(console, store, folder, open_workers, retry, again):
-            raise typer.Exit(FAILED)
+        try:
+            chosen = processes(workers) if cluster is None else open_cluster(cluster)
+            title = f"[bold]{escape(store.campaign.name)}[/] in {escape(str(folder))}"
+            console.print(f"{title}, {chosen.size} at a time")
+            with shown.progress:
+                written = conduct(store, folder, chosen, retry=retry, progress=shown)
+        except (KeyboardInterrupt, SystemExit, MissionError):
+            words = [str(file)] if store.campaign.own_modules else []  # see Store
+            words += ["--runs", str(runs)] if words and runs is not None else []
+            words += [
+                "--resume",
+                "--out",
+                str(folder),
+                *(["--cluster", cluster] if cluster else []),
+            ]
+            again = escape(f"rosa campaign {shlex.join(words)}")
+            console.print(
+                f"{shown.count} of {shown.total} runs are done and kept; go on with\n  {again}"
+            )
+            raise
+    took = perf_counter() - started
+    console.print(
+        f"{shown.count} of {shown.total} runs done, {shown.new} of them now in {took:.1f} s"
+        f" ({shown.new / took:.2f} a second); {shown.crashed} crashed"
+    )
+    console.print(f"written: {', '.join(escape(str(path)) for path in written)}")
+    console.print(f"`rosa report {escape(str(folder))}` says what came of it")
+    if shown.crashed:
+        raise typer.Exit(FAILED)
 
 
 def _asked(file: Path | None, table: bool, runs: int | None) -> Campaign | None:
@@ -88,37 +101,6 @@ def _asked(file: Path | None, table: bool, runs: int | None) -> Campaign | None:
         return None
     campaign = paper_table() if file is None else read_campaign(file)
     return campaign if runs is None else replace(campaign, runs=runs)
-
-
-def _conduct(
-    console: Console,
-    store: Store,
-    folder: Path,
-    open_workers: Callable[[], Workers],
-    retry: bool,
-    again: str,
-) -> int:
-    shown = CampaignProgress(console)
-    started = perf_counter()
-    try:
-        with closing(open_workers()) as workers, shown.progress:
-            console.print(
-                f"[bold]{escape(store.campaign.name)}[/] in {escape(str(folder))}, {workers.count} at a time"
-            )
-            written = conduct(store, folder, workers, retry=retry, progress=shown)
-    except (KeyboardInterrupt, SystemExit, MissionError):
-        console.print(
-            f"{shown.count} of {shown.total} runs are done and kept; go on with\n  {escape(again)}"
-        )
-        raise
-    took = perf_counter() - started
-    console.print(
-        f"{shown.count} of {shown.total} runs done, {shown.new} of them now in {took:.1f} s"
-        f" ({shown.new / took:.2f} a second); {shown.crashed} crashed"
-    )
-    console.print(f"written: {', '.join(escape(str(path)) for path in written)}")
-    console.print(f"`rosa report {escape(str(folder))}` says what came of it")
-    return shown.crashed
 
 
 def report(
@@ -133,9 +115,6 @@ def report(
             help="Where to write; default: DIR/report, or the recording's name with .html.",
         ),
     ] = None,
-    pages: Annotated[
-        bool, typer.Option("--pages", help="Of a campaign: a page of each run that stands out.")
-    ] = False,
     figures: Annotated[
         list[str] | None, typer.Option("--figure", help="Of a campaign: compare by these.")
     ] = None,
@@ -148,13 +127,13 @@ def report(
         write_page(target, read_page(source))
         typer.echo(target)
         return
-    store = read_store(source)
+    results = Results(source)
     with needs("plot", "the report on a campaign"):  # before anything is written
         import matplotlib  # noqa: F401
         import scipy  # noqa: F401
     from missions.experiments.report import write_report
 
-    for path in write_report(store, out or source / "report", pages=pages, figures=figures or ()):
+    for path in write_report(results, out or source / "report", figures=figures or ()):
         if path.stem == "report":
             typer.echo(path)
 

@@ -96,7 +96,10 @@ def test_priority_is_any_finite_number(load, written, meant):
 
 
 def test_requirements_of_one_action_add_up(load):
-    more = "$g isa Function, has function-name 'see'; (actions: $a, required-functions: $f) isa functional-requirement;"
+    more = (
+        "$g isa Function, has function-name 'see'; "
+        "(actions: $a, required-functions: $f) isa functional-requirement;"
+    )
     model = load(
         ROBOT + more + "(action: $a, function: $f, function: $g) isa functional-requirement;"
     )
@@ -165,7 +168,10 @@ def test_parameter_is_read_as_its_type_says(load, value, type_name, expected):
 
 
 def test_parameter_with_two_values_in_one_configuration_is_an_error(load):
-    text = "$p isa ComponentParameter, has key 'k', has value 1; $r isa ComponentParameter, has key 'k', has value 2;"
+    text = (
+        "$p isa ComponentParameter, has key 'k', has value 1; "
+        "$r isa ComponentParameter, has key 'k', has value 2;"
+    )
     with pytest.raises(ModelFileError, match="parameter 'k' has two values"):
         load(f"{ROBOT}{text}($c, $p, $r) isa component-configuration;")
 
@@ -202,17 +208,20 @@ def test_match_finds_things_by_type_and_name(load):
 
 def test_schema_that_declares_what_rosa_has_changes_nothing(load):
     schema = """define
-        name sub attribute, abstract, value string; component-name sub name; status sub attribute, value string;
+        name sub attribute, abstract, value string; component-name sub name;
         Constrainable sub entity, abstract, plays constraint:constrained;
-        Component sub Constrainable, owns component-name @key, owns status, plays function-design:required-component;
-        ROSNode sub Component; Measure sub entity, abstract; Attribute sub Measure, owns attribute-name @key;
+        Component sub Constrainable, owns component-name @key,
+            plays function-design:required-component;
+        ROSNode sub Component; Measure sub entity, abstract;
+        Attribute sub Measure, owns attribute-name @key;
         QualityAttribute sub Attribute; EnvironmentalAttribute sub Attribute;
         function-design sub relation, owns priority, relates function, relates required-component;
         constraint sub relation, relates constrained, relates attribute;
-        rule one: when { $c isa! Component, has status $s; $s like 'a|b'; } then { $c has status 'x'; };
+        rule one: when { $c isa! Component, has status $s; $s like 'a|b'; }
+            then { $c has status 'x'; };
     """
     model = load(
         schema, ROBOT + "(attribute: $q, constrained: $c) isa constraint, has constraint-value 1;"
     )
-    assert [str(one) for one in model.constraints] == ["charge >= 1"]
+    assert [str(constraint) for constraint in model.constraints] == ["charge >= 1"]
     assert list(model.components) == ["motor"]

@@ -15,6 +15,8 @@ from missions.wires.rosbridge import Rosbridge
 BATTERY = "sensor_msgs/msg/BatteryState"
 WIRES = ("rosbridge", "rclpy")
 STEP_S = 0.1
+GOAL = {"pose": {"header": {"frame_id": "map"}, "pose": {"orientation": {"w": 1.0}}}}
+"""A goal of Nav2."""
 
 
 def rover():
