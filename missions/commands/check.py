@@ -33,7 +33,7 @@ from missions.views.plan import (
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_bt.composites import unguarded
 from rosa_pddl.domain import ACTION_TYPE, Domain
-from rosa_pddl.reader import Node, Source, read_source, section, typed
+from rosa_pddl.reader import Node, parse, read_file, section, typed
 
 ACTION_SUFFIX: Final = "_action"
 COLOURS = {"error": "red", "warning": "yellow"}
@@ -226,18 +226,14 @@ def names_in_pddl(paths: Iterable[Path]) -> Uses:
 
     If there are none, each predicate `(NAME_action ?a)` with one parameter of type action stands for the action NAME.
     """
-    sources = [read_source(path) for path in paths]
+    sources = [parse(read_file(path), str(path)) for path in paths]
     parents = {
-        name.lower: of
-        for source in sources
-        for name, of in _declared(source, section(source, ":types"))
+        name.lower: of for source in sources for name, of in _declared(section(source, ":types"))
     }
     found = [
-        (str(name), _place(source, name))
+        (str(name), _place(name))
         for source in sources
-        for name, of in _declared(
-            source, section(source, ":constants") + section(source, ":objects")
-        )
+        for name, of in _declared(section(source, ":constants") + section(source, ":objects"))
         if _is_action(of, parents)
     ]
     return found or [use for source in sources for use in _by_predicate(source, parents)]
@@ -256,17 +252,17 @@ def _declared_at(domain: Domain, name: str) -> str:
     return f"{file}:{line}" if line else file
 
 
-def _by_predicate(source: Source, parents: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+def _by_predicate(source: Node, parents: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     for predicate in section(source, ":predicates"):
         name = predicate.children[0]
-        types = [of for _, of in _declared(source, predicate.children[1:])]
+        types = [of for _, of in _declared(predicate.children[1:])]
         if name.lower.endswith(ACTION_SUFFIX) and len(types) == 1 and _is_action(types[0], parents):
-            yield str(name)[: -len(ACTION_SUFFIX)], _place(source, name)
+            yield str(name)[: -len(ACTION_SUFFIX)], _place(name)
 
 
-def _declared(source: Source, nodes: Iterable[Node]) -> list[tuple[Node, str]]:
+def _declared(nodes: Iterable[Node]) -> list[tuple[Node, str]]:
     """Return the names in a list of declarations with their types in lower case; the default is object."""
-    return [(name, "object" if of is None else of.lower) for name, of in typed(source, nodes)]
+    return [(name, "object" if of is None else of.lower) for name, of in typed(nodes)]
 
 
 def _is_action(name: str, parents: Mapping[str, str]) -> bool:
@@ -277,8 +273,8 @@ def _is_action(name: str, parents: Mapping[str, str]) -> bool:
     return name == ACTION_TYPE
 
 
-def _place(source: Source, node: Node) -> str:
-    return f"{source.file}:{node.line}:{node.column}"
+def _place(node: Node) -> str:
+    return f"{node.file}:{node.line}:{node.column}"
 
 
 # -------------------------------------------------------------------- a plan on request

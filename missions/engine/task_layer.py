@@ -120,7 +120,7 @@ def planner_of(mission: Mission, domain: Domain) -> Planner:
     planner = (
         Planner(mission.engines[0], fallback=mission.engines[1:]) if mission.engines else Planner()
     )
-    if (missing := planner.missing(domain)) is not None:
+    if (missing := planner.missing()) is not None:
         raise MissionError(missing)
     return planner
 

@@ -16,8 +16,8 @@ from kb import Model
 from kb.status import OPERATORS
 from missions.agv.joint import Place, Question, Task
 from missions.agv.model import Building, Corridor
-from rosa_pddl.engines import fast_downward_command
 from rosa_pddl.search import distances
+from rosa_pddl.worker import fast_downward_command
 
 GOALS = {"time": 1e3, "energy": 1e3, "collisions": 1e6}
 WORTH = {"time": 1.0, "energy": 1.0, "collisions": 1e-3}

@@ -42,7 +42,7 @@ def test_it_finds_what_the_joint_planner_finds_within_limits(seed, failed):
     quickest = planner.plan(Question(weights={"time": 1.0}))
     if not quickest.is_solved:
         return
-    told, engine = None, Planner(timeout_s=60.0, cached=0, moves=1_000_000)
+    told, engine = None, Planner(timeout_s=60.0, moves=1_000_000)
     for limits in limits_of(planner, quickest):
         task = planner.task(Question(weights={"time": 1.0}, limits=limits))
         told = told or domain_of_task(task)
