@@ -6,7 +6,6 @@ page:
 
 pictures:
 	python3 launch.py python3 tests/missions/page_pictures.py
-	ROSA_GROWTH_PNG=docs/agv_growth.png python3 launch.py pytest -n 0 -m benchmark tests/benchmarks/test_joint_planning.py -k growth
 
 run:
 	python3 launch.py rosa run suave_extended --plot mission.png

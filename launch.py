@@ -4,7 +4,8 @@
     python3 launch.py rosa run suave_extended
     python3 launch.py pytest
 
-It installs what the command needs: for `rosa` and `python` what running needs, with the extras for its options; for any
+It installs what the command needs: for `rosa` and `python` what running needs, with the extras for
+    its options; for any
 other command what testing needs, too.
 Needs nothing but Python >= 3.11 and pip. The versions installed are those of constraints.txt.
 """
@@ -23,7 +24,8 @@ ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
 MARK = VENV / "set-up-for"
-PYTHON, TESTING = {"optimal", "plot", "sim"}, "dev"
+PYTHON = {"optimal", "plot", "sim"}
+TESTING = "dev"
 EXTRAS = {
     **dict.fromkeys(("suave", "suave_extended", "agv", "uav", "campaign"), "sim"),
     **{"--plot": "plot", "report": "plot", "--reason": "reason"},
@@ -36,25 +38,32 @@ EXTRAS = {
     },
     **{"replay": "mcap", "record": "mcap", "--cluster": "cluster"},
 }
-"""The extra that each word of a `rosa` command line needs; a file that ends in .mcap needs one, too."""
+"""The extra that each word of a `rosa` command line needs; a file that ends in .mcap needs one,
+too."""
 STEP = re.compile(r"\s*(Collecting|Building|Preparing|Installing)\b[^(]{0,60}")
 
 
 def extras(arguments: list[str]) -> set[str]:
-    """Return the extras that a command needs; for other commands than `rosa` and `python` that of the tests."""
+    """Return the extras that a command needs.
+
+    For other commands than `rosa` and `python` that of the tests.
+    """
     if arguments[0] not in ("rosa", "python"):
         return {TESTING}
-    words = [one.partition("=")[0] for one in arguments[1:]]
-    mcap = {"mcap"} if any(one.endswith(".mcap") for one in arguments) else set()
+    words = [argument.partition("=")[0] for argument in arguments[1:]]
+    mcap = {"mcap"} if any(argument.endswith(".mcap") for argument in arguments) else set()
     return (
         (PYTHON if arguments[0] == "python" else set())
         | mcap
-        | {EXTRAS[one] for one in words if one in EXTRAS}
+        | {EXTRAS[word] for word in words if word in EXTRAS}
     )
 
 
 def set_up(wished: set[str]) -> None:
-    """Make the virtual environment and install this project in it; if that fails, the next call does it again."""
+    """Make the virtual environment and install this project in it.
+
+    If that fails, the next call does it again.
+    """
     try:
         inputs = b"".join(
             (ROOT / name).read_bytes()
@@ -62,7 +71,8 @@ def set_up(wished: set[str]) -> None:
         )
     except OSError as error:
         sys.exit(
-            f"launch.py: cannot read {error.filename}: {error.strerror}; get it back from the repository"
+            f"launch.py: cannot read {error.filename}: {error.strerror}; "
+            "get it back from the repository"
         )
     wanted = hashlib.sha256(inputs + sys.version.encode()).hexdigest()
     there = MARK.read_text().split() if MARK.is_file() and (BIN / "python").exists() else []
@@ -71,12 +81,14 @@ def set_up(wished: set[str]) -> None:
         return
     if VENV.exists() and not VENV.is_dir():
         sys.exit(
-            f"launch.py: {VENV} is in the way; it has to be a folder, so move it elsewhere and run this again"
+            f"launch.py: {VENV} is in the way; it has to be a folder, "
+            "so move it elsewhere and run this again"
         )
     # measured on two cores with a near package index
     needs, takes = ("testing", "about a minute") if TESTING in wished else ("running", "about 20 s")
     print(
-        f"Setting up .venv with what {needs} needs: once, {takes}, longer where the network is slow",
+        f"Setting up .venv with what {needs} needs: once, {takes}, "
+        "longer where the network is slow",
         file=sys.stderr,
         flush=True,
     )
@@ -99,7 +111,10 @@ def set_up(wished: set[str]) -> None:
 
 
 def install(pip: list[str], project: str) -> None:
-    """Install the project with pip, showing its progress on one line; errors of pip are shown in full."""
+    """Install the project with pip, showing its progress on one line.
+
+    Errors of pip are shown in full.
+    """
     constraints = str(ROOT / "constraints.txt")
     # modules are compiled when they are imported; most never are
     arguments = [
@@ -111,7 +126,8 @@ def install(pip: list[str], project: str) -> None:
         "-e",
         project,
     ]
-    started, shows = time.monotonic(), sys.stderr.isatty()
+    started = time.monotonic()
+    shows = sys.stderr.isatty()
     with subprocess.Popen(
         [*pip, *arguments],
         env={**os.environ, "PIP_CONSTRAINT": constraints, "PYTHONUNBUFFERED": "1"},
@@ -131,7 +147,8 @@ def install(pip: list[str], project: str) -> None:
         print("\r\033[K", end="", file=sys.stderr)
     if process.returncode:
         sys.exit(
-            "launch.py: pip could not install the project; mend what it says above and run this again"
+            "launch.py: pip could not install the project; "
+            "mend what it says above and run this again"
         )
     print(f"Set up in {time.monotonic() - started:.0f} s", file=sys.stderr, flush=True)
 

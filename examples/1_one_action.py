@@ -7,7 +7,8 @@ model = Model("mower")
 moisture = model.environmental_attribute("moisture")  # of the grass, from 0 to 1
 model.action("mow", constraints=[moisture <= 0.3])
 
-# The knowledge base: facts go in, answers follow from them. It is handed its clock; here, time stands still.
+# The knowledge base: facts go in, answers follow from them. It is handed its clock; here, time
+# stands still.
 kb = KnowledgeBase(model, clock=lambda: 0.0)
 print("nothing is measured yet:", kb.is_feasible("mow"))  # unknown is not false
 

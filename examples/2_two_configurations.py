@@ -4,7 +4,8 @@ from collections.abc import Mapping
 
 from kb import ConfigurationManager, KnowledgeBase, Model
 
-# An action requires functions, a function has designs, a design is made of components, and these have configurations.
+# An action requires functions, a function has designs, a design is made of components, and these
+# have configurations.
 model = Model("courier")
 people = model.environmental_attribute("people")  # within 5 m
 drive = model.component(
@@ -33,7 +34,8 @@ class Robot:
         print("  set", component, dict(parameters))
 
 
-# The manager keeps the robot configured for what is requested; each update is one look at the facts, and never waits.
+# The manager keeps the robot configured for what is requested; each update is one look at the
+# facts, and never waits.
 kb = KnowledgeBase(model, clock=lambda: 0.0)
 manager = ConfigurationManager(kb, Robot())
 

@@ -2,7 +2,8 @@
 
 from kb import ConfigurationManager, KnowledgeBase, Model
 
-# A function can be had in more than one way. The pump is plain hardware: it may fail, but nobody switches it.
+# A function can be had in more than one way. The pump is plain hardware: it may fail, but nobody
+# switches it.
 model = Model("arm")
 pump = model.component("pump")
 suction = model.component("suction_node", kind="lifecycle")

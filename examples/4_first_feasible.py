@@ -14,8 +14,8 @@ model.action("stand_by")
 
 kb = KnowledgeBase(model, clock=lambda: 0.0)
 
-# ForAction puts any py_trees behaviour under an action: it runs only while the action is feasible, and the knowledge
-# base is told that it does. Of the three, the first that is feasible is done.
+# ForAction puts any py_trees behaviour under an action: it runs only while the action is feasible,
+# and the knowledge base is told that it does. Of the three, the first that is feasible is done.
 tree = first_feasible(
     "survey",
     [

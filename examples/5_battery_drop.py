@@ -1,4 +1,4 @@
-"""The battery drop: a warehouse robot gives up carrying boxes, charges, and goes on where it was."""
+"""The battery drop: a warehouse robot stops carrying boxes, charges, and continues."""
 
 from py_trees.common import Status
 from py_trees.decorators import FailureIsRunning
@@ -9,7 +9,8 @@ from rosa_bt import ForAction, Measurement, RosaAction, TreeRunner, do_until_unf
 
 model = Model("warehouse")
 battery = model.quality_attribute("battery")  # from 0 to 1
-handle, draw_power = model.function("handle_boxes"), model.function("draw_power")
+handle = model.function("handle_boxes")
+draw_power = model.function("draw_power")
 handle.design("with_lift", [model.component("lift_node", kind="lifecycle")])
 draw_power.design("at_dock", [model.component("dock_node", kind="lifecycle")])
 model.action("carry", requires=[handle], constraints=[battery >= 0.25])
@@ -49,7 +50,8 @@ kb.subscribe(
 robot = ScriptedManaged(clock)  # stands in for the real one
 manager = ConfigurationManager(kb, robot)
 
-# The whole task: carry; when that becomes unfeasible, charge until the battery is full, then go on carrying.
+# The whole task: carry; when that becomes unfeasible, charge until the battery is full, then go on
+# carrying.
 carry = Carry("carry", kb, "carry", wait=True)  # begins when the robot is configured for it
 charge = ForAction(
     "charge", kb, "charge", FailureIsRunning("wait", Measurement("full?", kb, "battery", ">=", 1.0))

@@ -1,4 +1,4 @@
-"""Without a tree: a feeding robot in a barn whose state machine asks and tells the same knowledge base."""
+"""Without a tree: the state machine of a feeding robot uses the same knowledge base."""
 
 from collections.abc import Callable
 
@@ -54,5 +54,5 @@ for what, tell in happenings.items():
     print(f"{what}: {state}")
 
 print("and the record says:")
-for one in kb.history.actions:
-    print(f"  {one.action}: {one.result or 'goes on'} {one.reason}".rstrip())
+for action in kb.history.actions:
+    print(f"  {action.action}: {action.result or 'goes on'} {action.reason}".rstrip())

@@ -1,7 +1,7 @@
-"""An assistant that can only request what is feasible, over the Model Context Protocol (extra `mcp`).
+"""An assistant that can only request what is feasible, by the MCP wire (extra `mcp`).
 
-The assistant is a stand-in for a language model: it makes the calls that a model would make. Whatever it requests, the
-knowledge base decides; the tools have no other way to the robot.
+The assistant is a stand-in for a language model: it makes the calls that a model would make.
+Whatever it requests, the knowledge base decides; the tools have no other way to the robot.
 """
 
 import asyncio

@@ -1,7 +1,8 @@
-"""The table of development effort in the ROSA paper: what an author has to write, counted by one rule.
+"""The table of development effort in the ROSA paper, counted by one rule.
 
-Each action, function, component, attribute and parameter value is an entity. Each functional requirement (one for an
-action), function design, component configuration, constraint and estimation is a relation.
+Each action, function, component, attribute and parameter value is an entity. Each functional
+requirement (one for an action), function design, component configuration, constraint and estimation
+is a relation.
 """
 
 from kb import KnowledgeBase, Model
@@ -38,7 +39,7 @@ def count(model: Model) -> tuple[int, int]:
 
 
 def count_tree(name: str) -> tuple[int, int]:
-    """Return the nodes that the manager `bt` adds to the tree of a mission, and its modes with their values."""
+    """Return the nodes that the manager `bt` adds to a tree, and its modes with their values."""
     mission = find_mission(name)
     run = open_run(mission, manager="bt")
     assert isinstance(run, BaselineRun)
@@ -53,7 +54,7 @@ def count_tree(name: str) -> tuple[int, int]:
 
 
 def generated_model(structural: int, parameter: int) -> Model:
-    """Make the least model of one action with these numbers of adaptations, by the paper's two assumptions."""
+    """Make the smallest model of one action with these numbers of adaptations."""
     model = Model("generated")
     quality = model.quality_attribute("quality")
     function = model.function("function")

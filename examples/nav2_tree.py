@@ -1,11 +1,12 @@
-"""Nav2's way to build a tree, with feasibility in it: when a planner or a controller is out, another one is asked."""
+"""A tree in Nav2's form that uses another planner or controller when one is unfeasible."""
 
 from py_trees.common import Status
 
 from kb import KnowledgeBase, Model
 from rosa_bt import BehaviourRegistry, RosaAction, TreeRunner, load_xml
 
-# The nodes are Nav2's; only IsActionFeasible is not. What makes an action unfeasible is in the model.
+# The nodes are Nav2's; only IsActionFeasible is not. What makes an action unfeasible is in the
+# model.
 TREE = """
 <root BTCPP_format="4" main_tree_to_execute="NavigateWithReplanning">
   <BehaviorTree ID="NavigateWithReplanning">
@@ -34,7 +35,8 @@ TREE = """
 model = Model("courier")
 lidar = model.component("lidar")
 bumper = model.component("bumper")
-see, touch = model.function("see_obstacles"), model.function("touch_obstacles")
+see = model.function("see_obstacles")
+touch = model.function("touch_obstacles")
 see.design("by_lidar", [lidar])
 touch.design("by_bumper", [bumper])
 model.action("compute_path")
@@ -60,7 +62,10 @@ class AtOnce(RosaAction):
 @registry.register("FollowPath")
 @registry.register("CreepAlong")
 class Driving(RosaAction):
-    """Stands for the controller server, which drives until the goal is reached; halting it cancels the goal."""
+    """Stands for the controller server, which drives until the goal is reached.
+
+    Halting it cancels the goal.
+    """
 
     def update(self) -> Status:
         """Look whether it is there."""
@@ -74,7 +79,7 @@ for what in ("all is well", "the lidar fails", "the bumper fails too", "the lida
     if "repaired" in what:
         kb.component_recovered("lidar")
     runner.tick()
-    print(f"{what}: {', '.join(one.action for one in kb.required_actions) or 'nothing'}")
+    print(f"{what}: {', '.join(action.action for action in kb.required_actions) or 'nothing'}")
     now += 0.2
 print(kb.explain("creep_along"))
 runner.shutdown()

@@ -1,4 +1,4 @@
-"""Plan ahead: dusk is forecast, so piers of a bridge are photographed only while it will be light enough to finish."""
+"""Plan ahead: photograph the piers of a bridge only while it will be light enough to finish."""
 
 from py_trees.common import Status
 
@@ -10,7 +10,8 @@ DOMAIN = """
 (define (domain bridge)
   (:requirements :strips :typing :durative-actions :action-costs)
   (:types action pier)
-  (:predicates (action_feasible ?a - action) (photograph_action ?a - action) (scan_action ?a - action) (seen ?p - pier))
+  (:predicates (action_feasible ?a - action) (photograph_action ?a - action)
+    (scan_action ?a - action) (seen ?p - pier))
   (:functions (total-cost))
   (:durative-action photograph
     :parameters (?a - action ?p - pier)
@@ -44,7 +45,8 @@ class Look(RosaAction):
 
     def __init__(self, step: Step, kb: KnowledgeBase) -> None:
         super().__init__(str(step), kb, step.schema)
-        self.step, self.base = step, kb
+        self.step = step
+        self.base = kb
 
     def initialise(self) -> None:
         """Begin; called once."""
@@ -60,12 +62,13 @@ class Look(RosaAction):
         """Say whether it was done for nothing; called when it ends."""
         if new_status is not Status.SUCCESS:
             print(
-                f"{self.base.now:4.0f} s  {self.step} is given up after {self.base.now - self.began:.0f} s"
+                f"{self.base.now:4.0f} s  {self.step} is given up "
+                f"after {self.base.now - self.began:.0f} s"
             )
 
 
 def evening(*, ahead: bool) -> None:
-    """Do the mission; light wavers by 1 and falls by 0.2 in a second, and from 120 s on clouds draw in."""
+    """Run the mission; the light falls by 0.2 in a second, and by more from 120 s on."""
     now = 0.0
     kb = KnowledgeBase(model, clock=lambda: now)
     executor = PlanExecutor(

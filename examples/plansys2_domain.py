@@ -1,4 +1,4 @@
-"""A domain written for PlanSys2, as it is: it knows nothing of ROSA, and its actions still follow what is feasible."""
+"""A domain for PlanSys2 that knows nothing of ROSA; its actions follow what is feasible."""
 
 from pathlib import Path
 
@@ -78,7 +78,7 @@ executor = PlanExecutor(
 kb.measure("battery", 0.9)
 shown = 0
 while executor.status is not Status.SUCCESS:
-    executor.catch_up()  # the clock has moved on: the answer that is due by now is there, however slow this computer is
+    executor.catch_up()  # wait for the answer that is due by now, on a slow computer too
     executor.tick_once()
     for plan in executor.plans[shown:]:
         print(

@@ -1,4 +1,4 @@
-"""Three robots, one task: the tree says what is to be done, and each model how this robot does it."""
+"""Three robots, one task: one tree, and a model for each robot."""
 
 from py_trees.behaviour import Behaviour
 from py_trees.behaviours import Running
@@ -16,7 +16,8 @@ def watch_over_a_field(kb: KnowledgeBase) -> Behaviour:
 def wheeled() -> Model:
     """Return a rover: mud is what stops it."""
     model = Model("rover")
-    mud, light = model.environmental_attribute("mud_m"), model.environmental_attribute("light")
+    mud = model.environmental_attribute("mud_m")
+    light = model.environmental_attribute("light")
     camera = model.component("camera", kind="lifecycle", always_improve=True)
     camera.configuration("wide", {"exposure_s": 0.01}, priority=1, constraints=[light >= 0.3])
     camera.configuration("long_exposure", {"exposure_s": 0.2}, priority=2)
@@ -31,7 +32,8 @@ def wheeled() -> Model:
 def legged() -> Model:
     """Return a walker, which mud stops later; in the dark it sees by radar."""
     model = Model("walker")
-    mud, light = model.environmental_attribute("mud_m"), model.environmental_attribute("light")
+    mud = model.environmental_attribute("mud_m")
+    light = model.environmental_attribute("light")
     camera = model.component("camera", kind="lifecycle")
     camera.configuration("stereo", {"baseline_m": 0.1}, constraints=[light >= 0.2])
     see = model.function("see", always_improve=True)

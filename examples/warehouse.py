@@ -1,6 +1,9 @@
-"""A mobile manipulator fetches orders in a warehouse; in a hundred lines of world lidar, arm and battery fail.
+"""A mobile manipulator fetches orders in a warehouse.
 
-Run it with its adaptations, `rosa run warehouse:MISSION` in this folder, or as it is for a table of managers.
+In a hundred lines of world lidar, arm and battery fail.
+
+Run it with its adaptations, `rosa run warehouse:MISSION` in this folder, or as it is for a table of
+managers.
 """
 
 from collections.abc import Mapping
@@ -35,7 +38,7 @@ from rosa_bt.decorators import UntilSuccess
 
 
 def build_model() -> Model:
-    """Return the model: two ways to localise, two arms with one gripper and one suction cup, a drive in two manners."""
+    """Return the model: two ways to localise, two arms, a drive with two configurations."""
     model = Model("warehouse_robot")
     battery = model.quality_attribute("battery", low=0.0, high=1.0)
     people = model.environmental_attribute("people")
@@ -48,10 +51,8 @@ def build_model() -> Model:
     drive = model.component("drive", kind="lifecycle", always_improve=True)
     drive.configuration("brisk", {"speed_m_s": 1.5}, priority=1, constraints=[people <= 1])
     drive.configuration("careful", {"speed_m_s": 0.5}, priority=2)
-    left, right = (
-        model.component("left_arm", kind="lifecycle"),
-        model.component("right_arm", kind="lifecycle"),
-    )
+    left = model.component("left_arm", kind="lifecycle")
+    right = model.component("right_arm", kind="lifecycle")
     gripper = model.component("gripper", kind="lifecycle")
 
     localise = model.function("localise", always_improve=True)
@@ -61,11 +62,9 @@ def build_model() -> Model:
     grasp.design("with_both_arms", [left, right, gripper], priority=1)
     grasp.design("with_left_arm", [left, gripper], priority=2)
     grasp.design("with_right_arm", [right], priority=3)  # which has a suction cup
-    move, look, draw_power = (
-        model.function("move"),
-        model.function("look"),
-        model.function("draw_power"),
-    )
+    move = model.function("move")
+    look = model.function("look")
+    draw_power = model.function("draw_power")
     move.design("by_drive", [drive])
     look.design("with_camera", [camera])
     draw_power.design("at_dock", [model.component("dock", kind="lifecycle")])
@@ -85,7 +84,9 @@ class Do(RosaAction):
 
     def __init__(self, action: str, done: str, kb: KnowledgeBase, percepts: Percepts) -> None:
         super().__init__(action, kb, action)
-        self.done, self.percepts, self.order = done, percepts, 0.0
+        self.done = done
+        self.percepts = percepts
+        self.order = 0.0
 
     def initialise(self) -> None:
         """Note which order it is; called each time the action starts."""
@@ -144,13 +145,19 @@ class Warehouse(World):
     """Shelves along an aisle, with the dock at its beginning."""
 
     def __init__(self, settings: Settings, rng: Generator) -> None:
-        self.settings, self.time, self.due = settings, 0.0, 0.0
+        self.settings = settings
+        self.time = 0.0
+        self.due = 0.0
         self.nodes = NamedComponents()
         self.commanded = SimulatedComponents(lambda: self.time, self.nodes, {"activate": 0.2})
         self.shelves_m = rng.uniform(10.0, 30.0, settings.orders)
         self.crowd_s = float(rng.uniform(40.0, 80.0))  # when people come, for half a minute
-        self.position_m, self.battery, self.order = 0.0, 1.0, 1
-        self.progress, self.part, self.rest = 0.0, "arrived", "picked"
+        self.position_m = 0.0
+        self.battery = 1.0
+        self.order = 1
+        self.progress = 0.0
+        self.part = "arrived"
+        self.rest = "picked"
         self.news: dict[str, object] = {"order": 1}
         self.happened: list[tuple[float, str]] = []
 
@@ -175,7 +182,8 @@ class Warehouse(World):
         self.due += 0.5
         mishaps = [failed(self.time, name) for name in self._mishaps()]
         light = 1.0 if self.time < self.settings.dark_s else 0.1
-        said, self.news = self.news, {}
+        said = self.news
+        self.news = {}
         measurements = measured(self.time, battery=self.battery, light=light, people=self.people)
         return [measurements, *mishaps, *([sensed(self.time, **said)] if said else [])]
 
@@ -197,7 +205,8 @@ class Warehouse(World):
 
     def _work(self, passed: float) -> None:
         """Do what the active components do; drawing power moves the robot to the dock first."""
-        active, broken = self.nodes.active, {text.split()[0] for _, text in self.happened}
+        active = self.nodes.active
+        broken = {text.split()[0] for _, text in self.happened}
         self.battery = max(0.0, self.battery - (0.008 if active else 0.001) * passed)
         speed = {"speed_m_s": 0.0, **self.nodes.parameters("drive")}["speed_m_s"]
         assert isinstance(speed, float)
@@ -222,7 +231,8 @@ class Warehouse(World):
 
     def _charge(self, passed: float) -> None:
         if self.part != "arrived":  # it has to go to the shelf again, for what is left there
-            self.rest, self.part = self.part, "arrived"
+            self.rest = self.part
+            self.part = "arrived"
             self.news["arrived"] = 0
         self.position_m = max(0.0, self.position_m - passed)
         if self.position_m == 0.0:
@@ -243,7 +253,9 @@ class Warehouse(World):
             self._reached({"picked": "inspected", "inspected": "arrived"}[self.part])
 
     def _reached(self, following: str) -> None:
-        self.news[self.part], self.part, self.progress = self.order, following, 0.0
+        self.news[self.part] = self.order
+        self.part = following
+        self.progress = 0.0
         if following == "arrived":
             self.order += 1
             is_last = self.order > self.settings.orders
@@ -283,7 +295,8 @@ class WarehouseKind(WorldKind):
 
 MISSION = Mission(
     name="warehouse",
-    summary="fetch orders with two arms; lidar and arm fail, people come, the light goes out, the battery drops",
+    summary="fetch orders with two arms; lidar and arm fail, people come, the light goes out, "
+    "the battery drops",
     model=build_model,
     tree=build_tree,
     world=WarehouseKind(),
@@ -294,7 +307,8 @@ if __name__ == "__main__":
         run = open_run(MISSION, manager=manager)
         verdict = run.run()
         print(
-            f"{manager}: {verdict.outcome} after {run.world.now:.0f} s, {len(run.adaptations)} adaptations"
+            f"{manager}: {verdict.outcome} after {run.world.now:.0f} s, "
+            f"{len(run.adaptations)} adaptations"
         )
         for one in run.adaptations if manager == "ours" else ():
             print(f"{one.at_s:7.1f} s  {one.kind}: {one.change}")

@@ -21,19 +21,18 @@ from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner
 from kb.model import Model
-from kb.optimal import OptimalPlanner
-from kb.planning import Choice, Criterion, Obsolete, Optimum, PriorityPlanner
+from kb.optimal import OptimalPlanner, Optimum
+from kb.planning import Choice, Obsolete, PriorityPlanner
 from kb.processes import ProcessComponents, Program
-from kb.questions import Situation
 from kb.records import (
     Attempt,
-    Memory,
     Process,
     ReconfigurationPlan,
     Reply,
     RequiredAction,
     VetoAnswer,
 )
+from kb.situations import Situation
 from kb.status import Status
 from kb.store import StoreError
 
@@ -45,7 +44,6 @@ __all__ = [
     "ChoiceExplanation",
     "ComponentKind",
     "ConfigurationManager",
-    "Criterion",
     "DiagnosticProblem",
     "DiagnosticRule",
     "DiagnosticRules",
@@ -64,7 +62,6 @@ __all__ = [
     "KnowledgeBaseError",
     "Log",
     "ManagedSystem",
-    "Memory",
     "Model",
     "ModelError",
     "ModelFileError",

@@ -1,4 +1,4 @@
-"""Checks of a model: unknown and unused names, what can never be feasible, and what is never selected."""
+"""Checks of a model: names, what can never be feasible, and what is never selected."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,22 +10,15 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from kb.debounce import turning_point
 from kb.elements import KINDS, Constraint, Element, listed, text
 from kb.exceptions import UnknownName
 from kb.facts import Contents, RequiredActionFact
 from kb.network import Network, Node
 from kb.remedies import FALSE, Conjunction, Interval, Requirements, bounds
-from kb.status import Status
 
-QUICK: Final = 4
-"""How many alternatives are kept in a first, quick look; only elements that fail it are looked at thoroughly."""
 MOST_ACTIONS: Final = 4
 PREFERRED: Final = 32
 """The most preferred alternatives with which each one is compared."""
-
-Bounds = Mapping[str, Interval]
-_Names = dict[Node, dict[str, None]]
 
 
 class Severity(StrEnum):
@@ -37,7 +30,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One check: the severity of its findings, what they mean in general, and what to do about them."""
+    """One check: the severity of its findings, what they mean, and what to do about them."""
 
     severity: Severity
     meaning: str
@@ -51,7 +44,8 @@ class Finding:
     Attributes:
         code: the word for the rule, one of `rules()`.
         severity: how bad it is.
-        element: kind and name, e.g. "function see"; for something that is not in the model, the given name.
+        element: kind and name, e.g. "function see"; for something that is not in the model, the
+            given name.
         message: what was found, and where.
         advice: what to do about it.
         place: where the element stands, as file:line:column; empty if it comes from no file.
@@ -101,11 +95,14 @@ def listing(names: Iterable[str], most: int = 4) -> str:
     return " and ".join([", ".join(known[:-1]), known[-1]] if len(known) > 1 else known)
 
 
-# -------------------------------------------------------------------- what is looked for
+# ---------------------------------------------------------------- what is looked for
 
 
 def check_model(model: Contents, names: Iterable[str] | None = None) -> tuple[Finding, ...]:
-    """Check a model; see `Model.check`. Errors come first; the findings of a rule are in the order of the model."""
+    """Check a model; see `Model.check`.
+
+    Errors come first; the findings of a rule are in the order of the model.
+    """
     network = Network(model)
     findings = [
         *(() if names is None else _mismatches(model.actions, listed("names", names))),
@@ -117,13 +114,14 @@ def check_model(model: Contents, names: Iterable[str] | None = None) -> tuple[Fi
         *_restored_twice(network),
         *(found("file-note", f"model {model.name}", note) for note in model.notes),
     ]
-    places = {_described(one): place for one, place in model.places.items()}
-    placed = (replace(one, place=places.get(one.element, "")) for one in findings)
-    return tuple(sorted(placed, key=lambda one: one.severity is not Severity.ERROR))
+    places = {_described(element): place for element, place in model.places.items()}
+    placed = [replace(each, place=places.get(each.element, "")) for each in findings]
+    return tuple(sorted(placed, key=lambda finding: finding.severity is not Severity.ERROR))
 
 
-def _described(one: Element | Constraint) -> str:
-    return f"{KINDS[type(one)]} {one.name if isinstance(one, Element) else one}"
+def _described(element: Element | Constraint) -> str:
+    name = element.name if isinstance(element, Element) else element
+    return f"{KINDS[type(element)]} {name}"
 
 
 def _mismatches(actions: Collection[str], names: Iterable[str]) -> Iterator[Finding]:
@@ -133,9 +131,8 @@ def _mismatches(actions: Collection[str], names: Iterable[str]) -> Iterator[Find
             yield found("unknown-action", name, str(UnknownName("action", name, actions)))
     for name in actions:
         if name not in mentioned:
-            yield found(
-                "unmentioned-action", f"action {name}", f"action {name} is mentioned nowhere"
-            )
+            what = f"action {name}"
+            yield found("unmentioned-action", what, f"{what} is mentioned nowhere")
 
 
 def _incomplete(network: Network) -> Iterator[Finding]:
@@ -144,205 +141,169 @@ def _incomplete(network: Network) -> Iterator[Finding]:
             yield found("action-without-functions", node, f"{node} requires no function")
     for node in network.designs.values():
         if not node.requires:
-            yield found(
-                "design-without-components", node, f"{node} of {node.used_by[0]} has no component"
-            )
-    rates = (
-        (one.name, rate.while_)
-        for one in network.attributes.values()
-        for rate in one.attribute.rates
-    )
-    for name, action in rates:
-        if action and action not in network.actions:
-            yield found(
-                "unknown-action",
-                name,
-                f"a rate of {name}: {UnknownName('action', action, network.actions)}",
-            )
+            message = f"{node} of {node.used_by[0]} has no component"
+            yield found("design-without-components", node, message)
+    for node in network.attributes.values():
+        for rate in node.attribute.rates:
+            if rate.while_ and rate.while_ not in network.actions:
+                unknown = UnknownName("action", rate.while_, network.actions)
+                yield found("unknown-action", node.name, f"a rate of {node.name}: {unknown}")
+
+
+def _preferences(model: Contents) -> list[tuple[str, str]]:
+    """Return the actions that are requested with a preference, and the preferred attributes."""
+    requests = [fact for fact in model.facts if isinstance(fact, RequiredActionFact)]
+    return [(request.action, name) for request in requests for name in request.preference or ()]
 
 
 def _unused(model: Contents, network: Network) -> Iterator[Finding]:
-    requests = (fact for fact in model.facts if isinstance(fact, RequiredActionFact))
-    used = {one.attribute for one in model.estimations}.union(
-        *(fact.preference or () for fact in requests)
-    )
-    attributes = [
-        node
-        for node in network.attributes.values()
-        if not node.constraints and node.name not in used
-    ]
-    functions = [node for node in network.functions.values() if not node.used_by]
-    components = [node for node in network.components.values() if not node.used_by]
-    whats = (
-        ("nothing depends on", attributes),
-        ("no action requires", functions),
-        ("no design uses", components),
-    )
-    for what, nodes in whats:
-        for node in nodes:
-            yield found(f"unused-{node.kind}", node, f"{what} {node}")
+    preferred = {name for _, name in _preferences(model)}
+    used = preferred | {estimation.attribute for estimation in model.estimations}
+    for node in network.attributes.values():
+        if not node.constraints and node.name not in used:
+            yield found("unused-attribute", node, f"nothing depends on {node}")
+    for table, nobody in (
+        (network.functions, "no action requires"),
+        (network.components, "no design uses"),
+    ):
+        for node in table.values():
+            if not node.used_by:
+                yield found(f"unused-{node.kind}", node, f"{nobody} {node}")
 
 
 def _out_of_range(model: Contents) -> Iterator[Finding]:
     """Yield the constraints that the range of their attribute decides for every measurement."""
-    for one in model.constraints:
-        attribute = model.attributes[one.attribute]
-        if attribute.low == -inf and attribute.high == inf:
-            continue
-        possible, wanted = Interval((attribute.low, 0), (attribute.high, 0)), Interval.of(one)
-        is_never = wanted.meet(possible).is_empty
-        is_final = (
-            not is_never
-            and Interval.of(one, turning_point(one, Status.VIOLATED)).meet(possible).is_empty
-        )
-        if is_never or is_final or wanted.covers(possible):
-            how = (
-                "is never satisfied"
-                if is_never
-                else "stays violated once it is"
-                if is_final
-                else "is never violated"
-            )
-            where = listing(each.name for each in one.constrained)
-            message = f"{_described(one)} {how}: {one.attribute} is {attribute.range} (on {where})"
-            yield found("out-of-range", _described(one), message)
+    for constraint in model.constraints:
+        attribute = model.attributes[constraint.attribute]
+        possible = Interval(attribute.low, attribute.high)
+        satisfied = Interval.of(constraint)
+        is_never = satisfied.meet(possible).is_empty
+        if possible != Interval() and (is_never or satisfied.covers(possible)):
+            how = "is never satisfied" if is_never else "is never violated"
+            where = listing(element.name for element in constraint.constrained)
+            what = _described(constraint)
+            message = f"{what} {how}: {attribute.name} is {attribute.range} (on {where})"
+            yield found("out-of-range", what, message)
 
 
 def _restored_twice(network: Network) -> Iterator[Finding]:
-    """Yield the elements that several actions restore."""
     restoring: dict[Element, list[str]] = {}
     for node in network.actions.values():
         for element in node.element.restores:
             restoring.setdefault(element, []).append(node.name)
     for element, actions in restoring.items():
         if len(actions) > 1:
-            message = f"{_described(element)} is restored by actions {listing(actions)}"
-            yield found("restored-twice", _described(element), message)
+            what = _described(element)
+            message = f"{what} is restored by actions {listing(actions)}"
+            yield found("restored-twice", what, message)
 
 
-# -------------------------------------------------------------------- what no measurement makes possible
+# ---------------------------------------------------------------- what is never possible
 
 
 def _contradictions(network: Network) -> Iterator[Finding]:
-    """Yield the elements that can never be feasible once their attributes are measured, but only the roots.
+    """Yield the elements that no measurement makes feasible, but only the roots.
 
-    A finding names the actions that its root makes impossible; the elements between the two have no findings.
+    A finding names the actions that its root makes impossible; what is between has no findings.
     """
-    quick, thorough = Requirements(limit=QUICK), Requirements()
-    impossible: dict[Node, None] = {}
-    for node in network.nodes:
-        if node.kind not in ("attribute", "constraint"):
-            ways = quick.of(node)
-            if (ways if ways.conjunctions or ways.complete else thorough.of(node)) == FALSE:
-                impossible[node] = None
+    requirements = Requirements()
+    nodes = [node for node in network.present() if node.kind not in ("attribute", "constraint")]
+    impossible = {node: None for node in nodes if requirements.of(node) == FALSE}
     for node in impossible:
-        for code, message in _roots(node, impossible, thorough):
-            yield found(code, node, message + _consequence(node, impossible))
+        broken = [part in impossible for part in node.requires]
+        is_consequence = any(broken) and (all(broken) or node.kind != "component")
+        contradictions = list(_contradiction(node))
+        for contradiction in contradictions:
+            message = f"{node} is constrained by {contradiction}{_consequence(node, impossible)}"
+            yield found("contradictory-constraints", node, message)
+        if node.kind == "function" and not broken:
+            message = f"{node} has no design{_consequence(node, impossible)}"
+            yield found("function-without-designs", node, message)
+        elif not contradictions and not is_consequence and node.kind != "function":
+            conflict = f"{_conflict(node, requirements)}{_consequence(node, impossible)}"
+            yield found("never-feasible", node, f"{node} can never be feasible: {conflict}")
 
 
-def _roots(
-    node: Node, impossible: Collection[Node], requirements: Requirements
-) -> Iterator[tuple[str, str]]:
-    """Yield code and message of each reason why an element is impossible, except consequences of its parts."""
-    if node.kind == "function":
-        if not node.requires:
-            yield "function-without-designs", f"{node} has no design"
-        return
-    empty = [name for name, interval in bounds(node).items() if interval.is_empty]
-    for attribute in empty:
-        yield (
-            "contradictory-constraints",
-            f"{node} is constrained by {_contradiction(node, attribute)}",
-        )
-    broken = [part in impossible for part in node.requires]
-    is_consequence = any(broken) and (all(broken) or node.kind != "component")
-    if not empty and not is_consequence:
-        yield "never-feasible", f"{node} can never be feasible: {_conflict(node, requirements)}"
-
-
-def _contradiction(node: Node, attribute: str) -> str:
-    """Name two constraints that exclude one another, or one that no number satisfies."""
-    own = [one.constraint for one in node.constraints if one.constraint.attribute == attribute]
-    for one in own:
-        if Interval.of(one).is_empty:
-            return f"{one}, which no number satisfies"
-    one, other = next(
-        two
-        for two in combinations(own, 2)
-        if Interval.of(two[0]).meet(Interval.of(two[1])).is_empty
-    )
-    return f"{one} and {other}, which no value satisfies both"  # two bounds make an interval empty, never three
+def _contradiction(node: Node) -> Iterator[str]:
+    """Yield the own constraints of an element that exclude one another, or every number."""
+    for attribute, interval in bounds(node).items():
+        own = [each.constraint for each in node.constraints]
+        own = [constraint for constraint in own if constraint.attribute == attribute]
+        pairs = [(constraint, constraint) for constraint in own] + list(combinations(own, 2))
+        for first, second in pairs if interval.is_empty else ():
+            if Interval.of(first).meet(Interval.of(second)).is_empty:
+                both = f"{first} and {second}, which no value satisfies both"
+                yield both if first is not second else f"{first}, which no number satisfies"
+                break
 
 
 def _consequence(node: Node, impossible: Collection[Node]) -> str:
-    waiting = {node: None}
-    actions: list[str] = []
-    while waiting and len(actions) <= MOST_ACTIONS:
-        wholes = dict.fromkeys(
-            whole for one in waiting for whole in one.used_by if whole in impossible
-        )
-        actions += [
-            whole.name for whole in wholes if whole.kind == "action" and whole.name not in actions
-        ]
-        waiting = wholes
+    """Name the actions that can never be feasible because of an element."""
+    actions: dict[str, None] = {}
+    owners = {node: None}
+    while owners:
+        users = [user for owner in owners for user in owner.used_by if user in impossible]
+        owners = dict.fromkeys(users)
+        actions |= {user.name: None for user in owners if user.kind == "action"}
     if len(actions) > MOST_ACTIONS:
-        return f", so {len(actions)} actions or more can never be feasible, e.g. {actions[0]}"
+        return f", so {len(actions)} actions can never be feasible, e.g. {next(iter(actions))}"
     return f", so action {listing(actions)} can never be feasible" if actions else ""
 
 
 def _conflict(node: Node, requirements: Requirements) -> str:
-    """Name two needs that exclude one another, with their intervals if there is only one way; else all needs."""
-    needs = {
-        f"its own constraint {one.name}": requirements.of(one).conjunctions
-        for one in node.constraints
-    }
-    if node.kind == "component":
-        needs["each of its configurations"] = tuple(
-            conjunction
-            for part in node.requires
-            for conjunction in requirements.of(part).conjunctions
-        )
-    else:
-        for part in node.requires:
-            conjunctions = requirements.of(part).conjunctions
-            needs[_needing(part, conjunctions)] = conjunctions
-    for (one, mine), (other, theirs) in combinations(needs.items(), 2):
-        if not any(conjunction.meet(their) for conjunction in mine for their in theirs):
-            return f"{one} and {other} exclude one another, whatever is measured"
+    """Name two needs that exclude one another; else all needs."""
+    needs: dict[str, list[Conjunction]] = {}
+    for constraint in node.constraints:
+        own = requirements.of(constraint).conjunctions
+        needs[f"its own constraint {constraint.name}"] = list(own)
+    for part in node.requires:
+        ways = requirements.of(part).conjunctions
+        if node.kind == "component":
+            needs.setdefault("each of its configurations", []).extend(ways)
+            continue
+        bounded = [
+            interval.text(name)
+            for name, interval in (ways[0].items() if len(ways) == 1 else ())
+            if isinstance(name, str)
+        ]
+        needs[f"{part} ({' and '.join(bounded)})" if bounded else str(part)] = list(ways)
+    for (name, mine), (other, theirs) in combinations(needs.items(), 2):
+        if not any(way.meet(their) for way in mine for their in theirs):
+            return f"{name} and {other} exclude one another, whatever is measured"
     return f"{listing(needs, 8)} cannot be met together, whatever is measured"
 
 
-def _needing(part: Node, conjunctions: tuple[Conjunction, ...]) -> str:
-    asked = (
-        " and ".join(one.text(name) for name, one in conjunctions[0].intervals.items())
-        if len(conjunctions) == 1
-        else ""
-    )
-    return f"{part}" + (f" ({asked})" if asked else "")
-
-
-# -------------------------------------------------------------------- what is chosen, and what never is
+# ---------------------------------------------------------------- what is never chosen
 
 
 def _doubtful_choices(model: Contents, network: Network) -> Iterator[Finding]:
-    directly, estimated = _estimated(model, network)
-    for whole in (*network.functions.values(), *network.components.values()):
-        if whole.kind == "component":
-            yield from _excluded(whole)
-        if len(whole.requires) < 2:
-            continue
-        yield from _ties(whole)
-        by_part = {part: estimated.get(part, {}) for part in whole.requires}
-        if not any(by_part.values()):  # a preference may select what priority never would
-            yield from _dominated(whole)
-        yield from _unevenly_estimated(whole, by_part, directly.get(whole, {}))
-    requests = [fact for fact in model.facts if isinstance(fact, RequiredActionFact)]
-    for action, attribute in dict.fromkeys(
-        (one.action, name) for one in requests for name in one.preference or ()
-    ):
-        if attribute not in estimated.get(network.actions[action], ()):
-            message = f"action {action} prefers {attribute}, which is estimated for nothing that it can use"
-            yield found("missing-estimation", network.actions[action], message)
+    """Yield ties, what is never selected, and estimations that are missing."""
+    directly: dict[Node, set[str]] = {}
+    for estimation in model.estimations:
+        directly.setdefault(network.find(estimation.causer), set()).add(estimation.attribute)
+
+    def estimated(node: Node) -> set[str]:
+        """Return the attributes that are estimated for an element or its parts."""
+        return directly.get(node, set()).union(*map(estimated, node.requires))
+
+    for owner in (*network.functions.values(), *network.components.values()):
+        if owner.kind == "component":
+            yield from _excluded(owner)
+        yield from _ties(owner)
+        names = {part: estimated(part) for part in owner.requires}
+        for attribute in sorted(set().union(*names.values()) - directly.get(owner, set())):
+            without = [part.name for part in owner.requires if attribute not in names[part]]
+            if without:
+                some = f"some {owner.requires[0].kind}s of {owner} but not for {listing(without)}"
+                message = f"{attribute} is estimated for {some}"
+                yield found("missing-estimation", owner, message)
+        if not any(names.values()):  # else a preference may select what priority never would
+            yield from _dominated(owner)
+    for action, attribute in dict.fromkeys(_preferences(model)):
+        node = network.actions[action]
+        if attribute not in estimated(node):
+            what = f"{node} prefers {attribute}, which is estimated for nothing that it can use"
+            yield found("missing-estimation", node, what)
 
 
 def _priority(node: Node) -> float:
@@ -351,100 +312,66 @@ def _priority(node: Node) -> float:
 
 
 def _bounds_in_use(part: Node) -> dict[str, Interval]:
-    """Return the intervals that satisfy a design or configuration and its components, by attribute."""
-    components = part.used_by if part.kind == "configuration" else part.requires
-    return bounds(part, *components)
+    """Return the intervals that satisfy a choice and its components, by attribute."""
+    return bounds(part, *(part.used_by if part.kind == "configuration" else part.requires))
 
 
-def _ties(whole: Node) -> Iterator[Finding]:
-    for priority, group in groupby(sorted(whole.requires, key=_priority), key=_priority):
+def _is_contradictory(intervals: Mapping[str, Interval]) -> bool:
+    return any(interval.is_empty for interval in intervals.values())
+
+
+def _ties(owner: Node) -> Iterator[Finding]:
+    for priority, group in groupby(sorted(owner.requires, key=_priority), key=_priority):
         tied = list(group)
-        if len(tied) < 2 or _exclude_one_another([_bounds_in_use(one) for one in tied]):
-            continue
-        which = "no priority" if priority == inf else f"the same priority, {priority}"
-        names = sorted(one.name for one in tied)
-        message = (
-            f"{tied[0].kind}s {listing(names)} of {whole} have {which}; {names[0]} comes first"
-        )
-        yield found("tied-priorities", whole, message)
+        alternatives = [_bounds_in_use(part) for part in tied]
+        if len(tied) > 1 and not _exclude_one_another(alternatives):
+            which = "no priority" if priority == inf else f"the same priority, {priority}"
+            names = sorted(part.name for part in tied)
+            what = f"{tied[0].kind}s {listing(names)} of {owner} have {which}"
+            yield found("tied-priorities", owner, f"{what}; {names[0]} comes first")
 
 
-def _exclude_one_another(alternatives: Sequence[Bounds]) -> bool:
-    """Return whether an attribute allows only one of them at a time, so that a tie does not matter."""
+def _exclude_one_another(alternatives: Sequence[Mapping[str, Interval]]) -> bool:
+    """Return whether an attribute allows only one of them at a time, so that a tie is harmless."""
     for attribute in alternatives[0]:
-        known = sorted(one[attribute] for one in alternatives if attribute in one)
-        if len(known) == len(alternatives) and all(
-            one.meet(after).is_empty for one, after in pairwise(known)
-        ):
+        intervals = sorted(each[attribute] for each in alternatives if attribute in each)
+        overlaps = [not low.meet(high).is_empty for low, high in pairwise(intervals)]
+        if len(intervals) == len(alternatives) and not any(overlaps):
             return True
     return False
 
 
 def _excluded(component: Node) -> Iterator[Finding]:
+    """Yield the configurations that the component's own constraints exclude, if not all."""
     own = bounds(component)
-    parts = {
-        part: mine for part in component.requires if not _is_contradictory(mine := bounds(part))
-    }
-    clashes = {
-        part: next(
-            (name for name in mine if name in own and mine[name].meet(own[name]).is_empty), None
-        )
-        for part, mine in parts.items()
-    }
-    if _is_contradictory(own) or all(clashes.values()):
-        return
-    for part, name in clashes.items():
-        if name:
-            needs, allows = parts[part][name].text(name), own[name].text(name)
-            yield found(
-                "never-selected", part, f"{part} needs {needs}, but its {component} {allows}"
-            )
+    clashes: list[tuple[Node, str]] = []
+    possible = 0
+    for part in component.requires:
+        needed = bounds(part)
+        if not _is_contradictory(needed):
+            possible += 1
+            shared = [name for name in needed if name in own]
+            excluding = [name for name in shared if needed[name].meet(own[name]).is_empty]
+            clashes += [(part, name) for name in excluding[:1]]
+    for part, name in clashes if len(clashes) < possible and not _is_contradictory(own) else ():
+        needs = bounds(part)[name].text(name)
+        message = f"{part} needs {needs}, but its {component} {own[name].text(name)}"
+        yield found("never-selected", part, message)
 
 
-def _is_contradictory(values: Bounds) -> bool:
-    return any(interval.is_empty for interval in values.values())
-
-
-def _dominated(whole: Node) -> Iterator[Finding]:
-    """Yield the parts that are never selected: a preferred one is feasible whenever they are."""
-    ranked = sorted(whole.requires, key=_priority)
-    offered = [(part, bounds(part)) for part in ranked[:PREFERRED]]
+def _dominated(owner: Node) -> Iterator[Finding]:
+    """Yield the choices for which a preferred one is feasible whenever they are."""
+    ranked = sorted(owner.requires, key=_priority)
     for part in ranked:
         needed = _bounds_in_use(part)
-        if _is_contradictory(needed):
-            continue
-        for one, own in offered:  # else a failure may rule out only the preferred one
-            is_within = part.kind == "configuration" or set(one.requires) <= set(part.requires)
-            easier = all(
-                name in needed and interval.covers(needed[name]) for name, interval in own.items()
+        for rival in ranked[:PREFERRED] if not _is_contradictory(needed) else ():
+            # a failure must not rule out only the preferred one
+            is_within = part.kind == "configuration" or set(rival.requires) <= set(part.requires)
+            is_easier = all(
+                name in needed and interval.covers(needed[name])
+                for name, interval in bounds(rival).items()
             )
-            if _priority(one) < _priority(part) and is_within and easier:
-                message = (
-                    f"{part} of {whole} is never chosen: whenever it is feasible, so is {one.name}"
-                )
-                yield found("never-selected", part, f"{message}, which is preferred")
+            if _priority(rival) < _priority(part) and is_within and is_easier:
+                why = f"whenever it is feasible, so is {rival.name}, which is preferred"
+                yield found("never-selected", part, f"{part} of {owner} is never chosen: {why}")
                 break
-
-
-def _estimated(model: Contents, network: Network) -> tuple[_Names, _Names]:
-    """Return the attributes estimated for each element, alone and together with its parts."""
-    directly: _Names = {}
-    for one in model.estimations:
-        directly.setdefault(network.find(one.causer), {})[one.attribute] = None
-    estimated: _Names = {}
-    for node in sorted(network.present(), key=lambda node: node.level) if directly else ():
-        estimated[node] = dict(directly.get(node, {}))
-        for part in node.requires:
-            estimated[node] |= estimated.get(part, {})
-    return directly, estimated
-
-
-def _unevenly_estimated(
-    whole: Node, by_part: _Names, directly: Mapping[str, None]
-) -> Iterator[Finding]:
-    for attribute in dict.fromkeys(name for names in by_part.values() for name in names):
-        without = [part.name for part, names in by_part.items() if attribute not in names]
-        if without and attribute not in directly:
-            kind = whole.requires[0].kind
-            message = f"{attribute} is estimated for some {kind}s of {whole} but not for {listing(without)}"
-            yield found("missing-estimation", whole, message)

@@ -1,14 +1,15 @@
 """What a robot is made of and can do, in ROSA's words; only a `Model` makes and changes elements.
 
-An element belongs to one model and equals nothing but itself. The annotation of a field says how the field is checked,
-and whether it may change after the declaration.
+An element belongs to one model and equals nothing but itself. The annotation of a field says how
+the field is checked, and whether it may change after the declaration.
 """
 
 import json
 import math
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from html import escape
@@ -23,15 +24,15 @@ ElementT = TypeVar("ElementT", bound="Element")
 T = TypeVar("T")
 Parameter = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 Parameters = Mapping[str, Parameter]
+_MOST: Final = sys.float_info.max
+_LEAST: Final = 5e-324  # the least number above 0
 
 
 def shown(value: object) -> str:
     """Write any value in short, even one whose `repr` fails."""
     try:
         return f"{value!r:.200}"
-    except (
-        Exception
-    ):  # whole numbers of thousands of digits, lists within themselves, what others have written
+    except Exception:  # numbers of thousands of digits, lists within themselves, what others write
         return f"some {type(value).__name__} that cannot be shown"
 
 
@@ -39,31 +40,27 @@ def finite_number(value: Any) -> float:  # noqa: ANN401  # whatever is given
     """Return the value as a float; text, booleans, NaN and infinities are refused."""
     if type(value) is float and math.isfinite(value):
         return value
-    if isinstance(value, bool | str) or not hasattr(type(value), "__float__"):
-        raise InvalidValue(f"a number is needed, not {shown(value)}")
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    except Exception as error:  # of whatever kind of number it is
-        raise InvalidValue(f"a number is needed, not {shown(value)}: {error}") from None
+    number = math.nan
+    if hasattr(type(value), "__float__") and not isinstance(value, bool):
+        with suppress(Exception):  # of whatever kind of number it is
+            number = float(value)
     if not math.isfinite(number):
         raise InvalidValue(f"a finite number is needed, not {shown(value)}")
     return number
 
 
 def table(caption: str, head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
-    """Return a table as notebooks show it, in HTML with every text escaped; what is None stays empty."""
-    cell = 'style="text-align: left; padding: 2px 12px; border-bottom: 1px solid #8888"'
-    titles = "".join(f'<th scope="col" {cell}>{escape(one)}</th>' for one in head)
-    cells = (("" if one is None else escape(str(one)) for one in row) for row in rows)
-    lines = "".join(f"<tr>{''.join(f'<td {cell}>{one}</td>' for one in row)}</tr>" for row in cells)
-    title = f'<caption style="text-align: left; font-weight: bold">{escape(caption)}</caption>'
-    return f"<table>{title}<thead><tr>{titles}</tr></thead><tbody>{lines}</tbody></table>"
+    """Return a table as notebooks show it, in HTML with every text escaped."""
+    lines = ["".join(f"<th>{escape(title)}</th>" for title in head)]
+    for row in rows:
+        texts = ("" if cell is None else escape(str(cell)) for cell in row)
+        lines.append("".join(f"<td>{text}</td>" for text in texts))
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    return f"<table><caption>{escape(caption)}</caption>{body}</table>"
 
 
 class Rate(NamedTuple):
-    """How fast an attribute changes [its unit / s] while an action is done, always if that is empty; see `changes`."""
+    """How fast an attribute changes [its unit / s], always or while an action is done."""
 
     per_s: float
     while_: str = ""
@@ -71,20 +68,15 @@ class Rate(NamedTuple):
 
 
 FORECASTS: Final = ("constant", "trend")
-"""The ways in which an attribute can be forecast, beside its rates and functions of one's own."""
-
-ForecastFunction = Callable[[Sequence[tuple[float, float]], float], float | None]
-"""Takes what was measured, as (time [s], value) by time, and a later time [s]; returns the value then, or None."""
-
-FUNCTIONS: Final[dict[str, ForecastFunction]] = {}
-"""The functions that were given as forecasts, by the names under which models speak of them."""
+"""The ways in which an attribute can be forecast, beside its rates."""
 
 
 class Field(NamedTuple):
     """How a field of an element is checked; it stands in the annotation of the field.
 
     Attributes:
-        check: takes the field's name, the element's name and what is given; returns it as it is kept.
+        check: takes the field's name, the element's name and what is given; returns it as it is
+            kept.
         can_change: `Model.change` may change it.
     """
 
@@ -115,72 +107,62 @@ def is_number(value: object) -> TypeGuard[int | float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _number(
-    what: str, fits: Callable[[float], bool], *, is_bound: bool = False, can_change: bool = True
-) -> Field:
-    """Return a field for a number that fits, finite unless it is a bound; `what` is the message for other values."""
+def _number(words: str, low: float, high: float, *, can_change: bool = True) -> Field:
+    """Return a field for a number from a lowest to a highest; `words` are for other values."""
 
     def check(field: str, name: str, value: object) -> float:
-        is_finite = is_number(value) and abs(value) <= sys.float_info.max
-        if (
-            is_number(value)
-            and (is_finite or (is_bound and abs(value) == math.inf))
-            and fits(value)
-        ):
-            return float(value)
-        raise ModelError(f"{what.format(field=field, name=name)}, not {shown(value)}")
+        is_fitting = is_number(value) and low <= value <= high
+        if is_fitting and not _MOST < abs(value) < math.inf:  # type: ignore[arg-type]  # a number
+            return float(value)  # type: ignore[arg-type]  # a number
+        raise ModelError(f"{words.format(field=field, name=name)}, not {shown(value)}")
 
     return Field(check, can_change)
 
 
 def _priority(field: str, name: str, value: object) -> float | None:
-    if value is None or (is_number(value) and abs(value) <= sys.float_info.max):
+    if value is None or (is_number(value) and abs(value) <= _MOST):
         return value
     raise ModelError(f"the {field} of {name!r} is a finite number or None, not {shown(value)}")
 
 
 def agreement(field: str, name: str, value: object) -> tuple[int, int]:
     """Return n and k, given as a pair or as text in a file: "2 of 3", "[2, 3]"."""
-    given = [int(one) for one in re.findall(r"\d{1,9}", value)] if isinstance(value, str) else value
-    if isinstance(given, tuple | list) and len(given) == 2:
-        enough, last = given
-        if type(enough) is int and type(last) is int and 0 < enough <= last < 2 * enough:
+    match (
+        [int(digits) for digits in re.findall(r"\d{1,9}", value)]
+        if isinstance(value, str)
+        else value
+    ):
+        case [int(enough), int(last)] if 0 < enough <= last < 2 * enough and type(enough) is int:
             return enough, last
-    raise ModelError(
-        f"{field} of {name!r} is two whole numbers (n, k), n of the last k measurements and more than half of them, "
-        f"e.g. (2, 3); not {shown(value)}"
-    )
+    what = f"{field} of {name!r} is two whole numbers (n, k), n of the last k measurements"
+    raise ModelError(f"{what} and more than half of them, e.g. (2, 3); not {shown(value)}")
 
 
 def forecasting(field: str, name: str, value: object) -> str:
-    """Return the name of a way to forecast; a function is registered under its name."""
-    if isinstance(value, str) and (value in ("", *FORECASTS) or ":" in value):
+    if isinstance(value, str) and value in ("", *FORECASTS):
         return value
-    function = f"{getattr(value, '__module__', '')}:{getattr(value, '__qualname__', '<')}"
-    if not callable(value) or "<" in function:  # files could not name it
-        known = f"one of {', '.join(FORECASTS)}, or a function that a module defines by a name of its own"
-        raise ModelError(f"the {field} of {name!r} is {known}; not {shown(value)}")
-    FUNCTIONS[function] = value
-    return function
+    raise ModelError(f"the {field} of {name!r} is {' or '.join(FORECASTS)}, not {shown(value)}")
 
 
 def rates(field: str, name: str, value: object) -> tuple[Rate, ...]:
-    """Return rates of change, as they are declared or as JSON has them; the last one for an action holds."""
+    """Return rates of change, also from JSON; the last one for an action holds."""
+    read: Any = json.loads(value) if isinstance(value, str) else value
+    by_action: dict[str, Rate] = {}
     try:
-        read: Any = json.loads(value) if isinstance(value, str) else value
-        given = [
-            Rate(finite_number(rate), text("what it holds while", of), flag("learns", learns))
-            for rate, of, learns in read
-        ]
-    except (TypeError, ValueError, InvalidValue, ModelError) as error:
-        raise ModelError(
-            f"{field} of {name!r} are (per s, while, learns), not {shown(value)}: {error}"
-        ) from None
-    return tuple({one.while_: one for one in given}.values())
+        for rate, action, learns in read:
+            text("what it holds while", action)
+            by_action[action] = Rate(finite_number(rate), action, flag("learns", learns))
+    except (TypeError, ValueError) as error:
+        what = f"{field} of {name!r} are (per s, while, learns)"
+        raise ModelError(f"{what}, not {shown(value)}: {error}") from None
+    return tuple(by_action.values())
 
 
 def whole(what: str, value: object, least: int = 1) -> int:
-    """Return a whole number that is at least `least` and fits into 64 bits; any other value is refused."""
+    """Return a whole number that is at least `least` and fits into 64 bits.
+
+    Any other value is refused.
+    """
     if type(value) is int and least <= value < 2**63:
         return value
     raise InvalidValue(f"{what} is a whole number from {least}, not {shown(value)}")
@@ -197,13 +179,9 @@ def choice(what: str, options: type[ChoiceT], given: object) -> ChoiceT:
 
 def status_of(kind: str, given: object) -> Status:
     """Return a status that elements of a kind can have."""
-    if given not in tuple(Status):
-        known = ", ".join(repr(str(one)) for one in Status)
-        raise InvalidValue(f"{shown(given)} is no status; a status is one of {known}")
     if given not in STATUSES.get(kind, ()):
-        raise InvalidValue(
-            f"a {kind} is never {given!s}; it can be {', '.join(STATUSES.get(kind, ()))}"
-        )
+        known = ", ".join(repr(str(status)) for status in STATUSES.get(kind, ()))
+        raise InvalidValue(f"a {kind} is never {given!s:.60}; it can be {known}")
     return Status(str(given))
 
 
@@ -262,11 +240,9 @@ def parameter_type(value: Parameter) -> str:
 
 
 def _is_scalar(value: object) -> bool:
-    return (
-        abs(value) <= sys.float_info.max
-        if isinstance(value, int | float)
-        else isinstance(value, str)
-    )
+    if isinstance(value, int | float):
+        return abs(value) <= _MOST
+    return isinstance(value, str)
 
 
 class AttributeKind(StrEnum):
@@ -305,20 +281,14 @@ class EstimationKind(StrEnum):
     ABSOLUTE = "absolute"
 
 
-_FLAG: Final = Field(
-    lambda field, name, it: it if type(it) is bool else flag(f"{field} of {name!r}", it)
-)
-_TEXT: Final = Field(
-    lambda field, name, it: it if type(it) is str else text(f"the {field} of {name!r}", it), False
-)
+_FLAG: Final = Field(lambda field, name, value: flag(f"{field} of {name!r}", value))
+_TEXT: Final = Field(lambda field, name, value: text(f"the {field} of {name!r}", value), False)
 _NUMBER: Final = Field(lambda _, __, value: finite_number(value))
 _PRIORITY: Final = Field(_priority)
-_SPAN: Final = _number("the {field} of {name!r} is a number from 0", lambda value: value >= 0)
-_AGE: Final = _number(
-    "{field} of {name!r} is a time in seconds above 0", lambda value: value > 0, is_bound=True
-)
+_SPAN: Final = _number("the {field} of {name!r} is a number from 0", 0, _MOST)
+_AGE: Final = _number("{field} of {name!r} is a time in seconds above 0", _LEAST, math.inf)
 _RANGE: Final = "the {field} end of the range of {name!r} is a number"
-_BOUND: Final = _number(_RANGE, lambda _: True, is_bound=True, can_change=False)
+_BOUND: Final = _number(_RANGE, -math.inf, math.inf, can_change=False)
 _AGREEMENT: Final = Field(agreement)
 _FORECASTING: Final = Field(forecasting)
 _RATES: Final = Field(rates)
@@ -360,7 +330,10 @@ class Owner(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """A comparison of an attribute with a number, e.g. `light >= 0.5`; becomes a constraint of what is given it."""
+    """A comparison of an attribute with a number, e.g. `light >= 0.5`.
+
+    Becomes a constraint of what is given it.
+    """
 
     attribute: str
     operator: str
@@ -382,10 +355,11 @@ class Expression:
                 )
 
     def steady(self, *, hysteresis: float = 0.0, dwell: float = 0.0) -> "Expression":
-        """Return the same comparison for a constraint that a value about its threshold does not make flap.
+        """Return the same comparison for a constraint that does not flap about its threshold.
 
         Args:
-            hysteresis: once violated, it is satisfied again only this far beyond its threshold [the attribute's unit].
+            hysteresis: once violated, it is satisfied again only this far beyond its threshold [the
+                attribute's unit].
             dwell: once satisfied or violated, it stays so for at least this long [s].
         """
         return replace(self, hysteresis=hysteresis, dwell=dwell)
@@ -402,7 +376,10 @@ class Expression:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Constraint:
-    """An expression; while it is violated, the constrained elements are unfeasible. See `Expression.steady`."""
+    """An expression; while it is violated, the constrained elements are unfeasible.
+
+    See `Expression.steady`.
+    """
 
     attribute: str
     operator: str
@@ -417,7 +394,7 @@ class Constraint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimation:
-    """What choosing the causer (a design, a component or a configuration) is expected to do to an attribute."""
+    """What choosing a design, component or configuration is expected to do to an attribute."""
 
     attribute: str
     value: Annotated[float, _NUMBER]
@@ -437,14 +414,13 @@ class Element:
     name: str
     model: Owner = field(repr=False, compare=False)
 
-    def __reduce__(self) -> tuple[Callable[..., "Element"], tuple[object, ...]]:
-        return _element_of, (self.model, KINDS[type(self)], self.name)
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[object, ...]]:
+        return _element_of, (self.model, type(self), self.name)
 
 
-def _element_of(model: Any, kind: str, name: str) -> Element:  # noqa: ANN401  # a model, read anew
+def _element_of(model: Any, cls: type, name: str) -> Any:  # noqa: ANN401  # a model, read anew
     """Return the element of a model that was pickled or copied."""
-    tables: Mapping[type, Mapping[str, Element]] = model.tables
-    return next(table[name] for cls, table in tables.items() if KINDS[cls] == kind)
+    return model.tables[cls][name]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -476,8 +452,10 @@ class Attribute(Element):
     Attributes:
         kind: what it describes.
         max_age: how long a measurement holds [s]; for ever by default.
-        when_stale: what its constraints are once the latest measurement is older: "not evaluated" or "violated".
-        agreement: n of the last k measurements have to say so before a constraint on it changes, as (n, k).
+        when_stale: what its constraints are once the latest measurement is older: "not evaluated"
+            or "violated".
+        agreement: n of the last k measurements have to say so before a constraint on it changes, as
+            (n, k).
         unit: of its values, as it is shown, e.g. "V"; may be empty.
         low, high: no value lies outside; a measurement that does is refused. Infinite by default.
         forecasting: how it is forecast; see `forecast`. Empty if only by its rates, or not at all.
@@ -504,17 +482,18 @@ class Attribute(Element):
                 f"the range of {self.name!r} holds no number: from {self.low!r} to {self.high!r}"
             )
 
-    def forecast(self, by: str | ForecastFunction) -> None:
-        """State how this attribute is forecast where no rate applies: "constant", "trend" or a function."""
+    def forecast(self, by: str) -> None:
+        """State how this attribute is forecast where no rate applies: "constant" or "trend"."""
         self.model.change(self, forecasting=by)
 
     def changes(
         self, rate: float, *, per: str = "s", while_: "Action | str" = "", learns: bool = False
     ) -> None:
-        """State how fast this attribute changes [its unit per "s", "min" or "h"], always or while an action is done.
+        """State how fast this attribute changes [its unit per "s", "min" or "h"].
 
-        There is one rate for each action; rates that apply at the same time add up. A rate that learns is replaced by
-        the rate that is measured while its action alone is done.
+        It holds always, or while an action is done. There is one rate for each action; rates that
+        apply at the same time add up. A rate that learns is replaced by the rate that is measured
+        while its action alone is done.
         """
         if per not in _PER:
             raise UnknownName("time in which an attribute changes", per, _PER)
@@ -526,7 +505,10 @@ class Attribute(Element):
         )
 
     def checked(self, value: object) -> float:
-        """Return a value of this attribute as a float; what is no finite number, or out of range, is refused."""
+        """Return a value of this attribute as a float.
+
+        What is no finite number, or out of range, is refused.
+        """
         number = finite_number(value)
         if self.low <= number <= self.high:
             return number
@@ -593,7 +575,10 @@ class Component(_Estimable):
         priority: float | None = None,
         constraints: Iterable[Expression] = (),
     ) -> Configuration:
-        """Declare one way to set this component's parameters; the lowest priority number is tried first."""
+        """Declare one way to set this component's parameters.
+
+        The lowest priority number is tried first.
+        """
         given = {"component": self, "parameters": parameters or {}, "priority": priority}
         return self.model.declare(Configuration, name, constraints, **given)
 
@@ -621,7 +606,10 @@ class Function(Element):
         priority: float | None = None,
         constraints: Iterable[Expression] = (),
     ) -> FunctionDesign:
-        """Declare one set of components that realises this function; the lowest priority number is tried first."""
+        """Declare one set of components that realises this function.
+
+        The lowest priority number is tried first.
+        """
         given = {"function": self, "components": components, "priority": priority}
         return self.model.declare(FunctionDesign, name, constraints, **given)
 
@@ -668,7 +656,8 @@ REFERENCES: Final[Mapping[str, type[Element]]] = {
     "deactivate": Component,
     "parameters": Configuration,
 }
-"""The fields of elements, facts and records that name others, and of which class; parameters are those of a plan."""
+"""The fields of elements, facts and records that name others, and of which class; parameters are
+those of a plan."""
 
 
 CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {
@@ -683,7 +672,10 @@ CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {
 
 
 class ByName(dict[Any, T]):
-    """The elements of one kind by name, in order of declaration; the error for an unknown name lists similar ones."""
+    """The elements of one kind by name, in order of declaration.
+
+    The error for an unknown name lists similar ones.
+    """
 
     def __init__(self, kind: str, table: Mapping[str, T] | None = None) -> None:
         super().__init__(table or {})
@@ -701,23 +693,20 @@ def called(element: Changeable) -> str:
 
 
 def meant_by(name: object, tables: Mapping[str, Mapping[str, T]], what: str, advice: str = "") -> T:
-    """Return what a bare name stands for in the tables of some kinds: with an advice the only one, else the first.
+    """Return what a name stands for in the tables of some kinds: the only one, or the first.
 
     Raises:
         AmbiguousName: several kinds have such a name, and an advice what to do then is given.
     """
-    found = {
-        kind: table[name]
-        for kind, table in tables.items()
-        if isinstance(name, str) and name in table
-    }
-    if not found:
-        raise UnknownName(what, name, [one for table in tables.values() for one in table])
-    if advice and len(found) > 1:
-        kinds = ", ".join(f"{'an' if kind[0] == 'a' else 'a'} {kind}" for kind in found)
-        first = f"{next(iter(found)).removeprefix('function ')}s[{name!r}]"
+    is_text = isinstance(name, str)
+    named = {kind: table[str(name)] for kind, table in tables.items() if is_text and name in table}
+    if not named:
+        raise UnknownName(what, name, [each for table in tables.values() for each in table])
+    if advice and len(named) > 1:
+        kinds = ", ".join(f"{'an' if kind[0] == 'a' else 'a'} {kind}" for kind in named)
+        first = f"{next(iter(named)).removeprefix('function ')}s[{name!r}]"
         raise AmbiguousName(f"{name!r} names several things: {kinds}; {advice}{first}")
-    return next(iter(found.values()))
+    return next(iter(named.values()))
 
 
 def exact(value: float) -> str:

@@ -1,20 +1,17 @@
-"""Events: everything that becomes known, as data that can be told again; their log, and its subscribers."""
+"""Events: everything that becomes known, as data that can be replayed; their log, and its subscribers."""
 
 import logging
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
-from itertools import takewhile
-from operator import attrgetter
-from threading import Condition, Lock, get_ident
+from itertools import islice
+from threading import Condition, Lock
 from typing import Any, Final, NamedTuple, Self
 
 from kb.exceptions import InvalidValue
-from kb.records import Memory, ReconfigurationPlan, plain
+from kb.records import ReconfigurationPlan, plain
 from kb.status import Status
 
 
@@ -27,11 +24,41 @@ class EventKind(StrEnum):
     RECORD = "record"
 
 
-_MADE: Final = frozenset(
-    {"component_configured", "component_started", "component_ended", "finish_plan", "store"}
+RECORDS: Final = frozenset(
+    {
+        "component_started",
+        "component_ended",
+        "finish_plan",
+        "record_attempt",
+        "finish_attempt",
+        "record_answer",
+        "progress",
+        "store",
+    }
 )
-RECORDS: Final = _MADE | {"record_attempt", "finish_attempt", "record_answer", "progress"}
-"""The verbs of events that are only put on record and change no fact of the state."""
+"""The verbs of events that are only put on record; no status follows from them."""
+
+_MOST: Final = 100_000  # events that are held in memory
+
+_WORDS: Final[Mapping[str, str | tuple[str, str]]] = {
+    "measure": "{0} is {1:g}",
+    "component_failed": "{0} has failed{reason}",
+    "component_recovered": "{0} is recovered",
+    "component_active": ("{0} is inactive{reason}", "{0} is active"),
+    "component_started": "{0} runs as process {1}",
+    "component_ended": ("{0} no longer runs as process", "{0} no longer runs as process {1}"),
+    "request_action": "{0} is requested",
+    "cancel_action": "{0} is {1}{because}",
+    "assert_required": ("{0} is no longer asserted required", "{0} is asserted required"),
+    "assert_selected": ("{0} is not selected{reason}", "{0} is selected{reason}"),
+    "finish_plan": "plan {0} is {1}",
+    "finish_attempt": "attempt {0} is {1}{reason}",
+    "record_answer": ("plan {0} may be executed{reason}", "plan {0} is vetoed{reason}"),
+    "progress": ("{1} begins anew", "progress of {1} saved"),
+    "store": "{0}",
+    "begin": "begins with what the model states",
+}
+"""An event in words by its verb, of two for something that is not so, or is so."""
 
 
 class StatusChange(NamedTuple):
@@ -44,12 +71,12 @@ class StatusChange(NamedTuple):
 
 
 class Event(NamedTuple):
-    """Something that became known: somebody told it, or time or the model made it so.
+    """Something that became known: somebody recorded it, or time or the model made it so.
 
     Attributes:
         number: 1 for the first.
         time: when [s].
-        verb: name of the method of `KnowledgeBase` that tells it again, e.g. "measure"; "stale", "dwell" and "lapse"
+        verb: name of the method of `KnowledgeBase` that records it again, e.g. "measure"; "stale", "dwell" and "lapse"
             are what time does, "begin" is what the model states, "amend" a change of the model, "store" how the store
             is, "progress" where an action of a task layer is.
         arguments: of the method, all of them, as plain values: names, numbers, texts. An element is (kind, name), a
@@ -91,34 +118,45 @@ class Event(NamedTuple):
     @property
     def text(self) -> str:
         """What, in words, e.g. "light is 0.3" or "gripper has failed"."""
+        arguments = self.arguments
         if self.words:
             return self.words
         if self.plan is not None:
             return str(self.plan)
         if self.effects:
-            return ", ".join(
-                f"{name} is {'' if is_so else 'not '}selected" for _, name, is_so in self.effects
-            )
-        found = _WORDS.get(self.verb)
-        given = map(str, self.arguments)
-        return (
-            f"{self.verb.replace('_', ' ')}: {', '.join(given)}" if found is None else found(self)
+            flips = [f"{name} is {'' if on else 'not '}selected" for _, name, on in self.effects]
+            return ", ".join(flips)
+        words = _WORDS.get(self.verb)
+        if words is None:
+            return f"{self.verb.replace('_', ' ')}: {', '.join(map(str, arguments))}"
+        if isinstance(words, tuple):
+            words = words[bool(arguments[2 if self.verb == "progress" else 1])]
+        last = arguments[-1] if arguments else ""
+        return words.format(
+            self.subject or (arguments and arguments[0]),
+            *arguments[1:],
+            reason=f" ({last})" if last else "",
+            because=f": {last}" if last else "",
         )
 
     def to_json(self) -> dict[str, Any]:
         """Return it as values that JSON can hold; `from_json` is the way back, but for the plan."""
-        arguments, effects = plain(self.arguments), [list(one) for one in self.effects]
-        changes = [list(map(str, one)) for one in self.changes]  # there can be many
-        written = {
+        values = {
             "number": self.number,
             "time": self.time,
             "verb": self.verb,
-            "arguments": arguments,
+            "arguments": plain(self.arguments),
         }
-        said = {"changes": changes, "cause": self.cause, "effects": effects, "words": self.words}
-        return written | {
-            name: value for name, value in said.items() if value not in ([], None, "")
+        optional = {
+            "changes": [list(map(str, change)) for change in self.changes],  # there can be many
+            "cause": self.cause,
+            "effects": [list(effect) for effect in self.effects],
+            "words": self.words,
         }
+        for name, value in optional.items():
+            if value not in ([], None, ""):
+                values[name] = value
+        return values
 
     @classmethod
     def from_json(cls, written: Mapping[str, Any]) -> Self:
@@ -127,171 +165,98 @@ class Event(NamedTuple):
         Raises:
             LookupError, TypeError, ValueError: that was no event.
         """
-        changes = tuple(
+        arguments = [
+            tuple(value) if isinstance(value, list) else value for value in written["arguments"]
+        ]
+        changes = [
             StatusChange(kind, name, Status(old), Status(new))
             for kind, name, old, new in written.get("changes", ())
-        )
+        ]
+        effects = [(kind, name, bool(on)) for kind, name, on in written.get("effects", ())]
         return cls(
             int(written["number"]),
             float(written["time"]),
             str(written["verb"]),
-            tuple(tuple(one) if isinstance(one, list) else one for one in written["arguments"]),
-            changes,
+            tuple(arguments),
+            tuple(changes),
             written.get("cause"),
-            tuple(
-                (kind, name, bool(selected)) for kind, name, selected in written.get("effects", ())
-            ),
-            None,
-            str(written.get("words", "")),
+            tuple(effects),
+            words=str(written.get("words", "")),
         )
-
-
-def _of(event: Event, place: int) -> str:
-    return f" ({event.arguments[place]})" if event.arguments[place] else ""
-
-
-_WORDS: Final[Mapping[str, Callable[[Event], str]]] = {
-    "measure": lambda one: f"{one.subject} is {one.arguments[1]:g}",
-    "component_failed": lambda one: f"{one.subject} has failed{_of(one, 1)}",
-    "component_recovered": lambda one: f"{one.subject} is recovered",
-    "component_active": lambda one: (
-        f"{one.subject} is {'active' if one.arguments[1] else f'inactive{_of(one, 2)}'}"
-    ),
-    "component_started": lambda one: f"{one.subject} runs as process {one.arguments[1]}",
-    "component_ended": lambda one: (
-        f"{one.subject} no longer runs as process {one.arguments[1] or ''}".rstrip()
-    ),
-    "request_action": lambda one: f"{one.subject} is requested",
-    "cancel_action": lambda one: f"{one.subject} is {': '.join(filter(None, one.arguments[1:]))}",
-    "assert_required": lambda one: (
-        f"{one.subject} is {'' if one.arguments[1] else 'no longer '}asserted required"
-    ),
-    "assert_selected": lambda one: (
-        f"{one.subject} is {'' if one.arguments[1] else 'not '}selected{_of(one, 2)}"
-    ),
-    "note_no_choice": lambda one: (
-        f"nothing can be selected because {one.subject}"
-        if one.subject
-        else "something can be selected again"
-    ),
-    "finish_plan": lambda one: "plan {} is {}".format(*one.arguments),
-    "finish_attempt": lambda one: f"attempt {one.arguments[0]} is {one.arguments[1]}{_of(one, 2)}",
-    "record_answer": lambda one: (
-        f"plan {one.arguments[0]} {'is vetoed' if one.arguments[1] else 'may be executed'}{_of(one, 2)}"
-    ),
-    "progress": lambda one: (
-        f"{one.arguments[1]} {'is kept to be gone on with' if one.arguments[2] else 'begins anew'}"
-    ),
-    "store": lambda one: str(one.arguments[0]),
-    "begin": lambda _: "begins with what the model states",
-}
-"""An event in words, by its verb."""
-
-
-_NUMBER: Final = attrgetter("number")
-
-_MOST_ANSWERS: Final = 1000
-"""How long a chain of events may be in which each is told in answer to the one before."""
-
-_log = logging.getLogger(__name__)
 
 
 class Log:
     """The newest events of a knowledge base by number, as far as they are held in memory.
 
-    Measurements are far more than anything else and are held apart, so that they push nothing else out.
-
     Attributes:
         last: number of the last event; 0 before the first.
-        begins: number of the event from which on every one is held; 1 while none is forgotten.
         time: of the last event [s].
+        witnesses: functions that are called with each event by the thread that records it, while
+            the base is held.
     """
 
-    def __init__(
-        self, memory: Memory, lock: AbstractContextManager[object], settle: Callable[[], None]
-    ) -> None:
-        self._lock = (
-            lock  # of the base that tells them: what is told meanwhile is told before or after
-        )
-        self.settle = settle  # called before all are looked at: what was interrupted ends
-        self.last, self.begins, self.time = 0, 1, -math.inf
-        self.heard: Callable[[], None] | None = None  # called when there is a new event
-        self.witnesses: tuple[
-            Callable[[Event], None], ...
-        ] = ()  # hear of each by the thread that holds the base
-        self.capacity = memory.events
-        self._span = memory.span
-        self._measured: deque[Event] = deque()
-        self._others: deque[Event] = deque()
+    def __init__(self, lock: AbstractContextManager[object], catch_up: Callable[[], None]) -> None:
+        self._lock = lock
+        self.catch_up = catch_up  # called before all are looked at: what was interrupted ends
+        self._events: deque[Event] = deque(maxlen=_MOST)
+        self.last = 0
+        self.time = -math.inf
+        self.witnesses: tuple[Callable[[Event], None], ...] = ()
+
+    @property
+    def begins(self) -> int:
+        """Number of the event from which on every one is held; 1 while none is forgotten."""
+        return self.last + 1 - len(self._events)
 
     def append(self, event: Event) -> None:
         """Add an event, unless one of its number is there already."""
-        number, time = event.number, event.time
-        events = self._measured if event.verb == "measure" else self._others
-        if (
-            not events or events[-1].number < number
-        ):  # no signal is handled between this and what follows
-            events.append(event)
-        while len(events) > self.capacity or events[0].time < time - self._span:
-            self.begins = max(self.begins, events[0].number + 1)
-            events.popleft()
-        self.last, self.time = number, time
-        if self.heard is not None:
-            self.heard()
+        if not self._events or self._events[-1].number < event.number:
+            self._events.append(event)
+        self.last = event.number
+        self.time = event.time
 
     def resume(self, number: int) -> None:
         """Go on after an event that is not held here."""
         if number != self.last:
-            self.last, self.begins = number, number + 1
+            self._events.clear()
+            self.last = number
 
-    def since(self, number: int, *, measurements: bool = True) -> Iterator[Event]:
-        """Yield the events after one, in order, with the measurements among them or without."""
+    def since(self, number: int) -> Iterator[Event]:
+        """Yield the events after one, in order."""
         with self._lock:
-            held = (self._measured, self._others) if measurements else (self._others,)
-            later = [one for events in held for one in _newest(events, number)]
-        return iter(sorted(later, key=_NUMBER))
+            newest = list(islice(reversed(self._events), max(0, self.last - number)))
+        newest.reverse()
+        return iter(newest)
 
     def __iter__(self) -> Iterator[Event]:
-        self.settle()
+        self.catch_up()
         return self.since(0)
 
     def __len__(self) -> int:
-        return len(self._measured) + len(self._others)
+        return len(self._events)
 
 
-def _newest(events: deque[Event], number: int) -> list[Event]:
-    """Return the events after one, the newest first."""
-    try:
-        return list(takewhile(lambda one: one.number > number, reversed(events)))
-    except RuntimeError:  # a signal handler told an event meanwhile
-        return _newest(events, number)
-
-
-@dataclass(slots=True, eq=False)
 class _Subscriber:
-    """A callback, the number of the last event that it was called with, and whether it failed on one."""
+    """A callback, and the number of the last event that it was called with."""
 
-    call: Callable[[Event], None]
-    heard: int
-    has_failed: bool = False
+    def __init__(self, call: Callable[[Event], None], last: int) -> None:
+        self.call = call
+        self.last = last
 
 
 class Publisher:
     """Calls every subscriber with every event of a log, once, one event at a time, in order.
 
-    No lock is held while a subscriber is called. If it tells an event, or another thread does, that is delivered after
-    the present one, and nobody waits for it. An interrupt in a subscriber reaches the caller who told the event; the
-    other subscribers get the event at the next call. A subscriber that answers its own events without end is dropped.
+    No lock is held while a subscriber is called. If it records an event, or another thread does,
+    that is delivered after the present one, and nobody waits for it. An interrupt in a subscriber
+    reaches the caller who recorded the event; the others get the event at the next call.
     """
 
     def __init__(self, log: Log, lock: Any) -> None:  # noqa: ANN401  # an RLock has no type
-        self._log, self._lock = log, lock
+        self._log = log
         self._owned = Condition(lock)
-        self._subscribers: list[_Subscriber] = []
-        self.is_heard = False
         self._turn = Lock()
-        self._called: tuple[int, _Subscriber, int] | None = None
-        self._answers: dict[int, int] = {}
+        self.subscribers: list[_Subscriber] = []
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
         """Call a function with every event from now on; returns how to stop that."""
@@ -299,60 +264,37 @@ class Publisher:
             raise InvalidValue(
                 f"a subscriber is called with each event; {callback!r} cannot be called"
             )
-        with self._lock:
-            subscriber = _Subscriber(callback, self._log.last)
-            self.is_heard = True
-            self._subscribers.append(subscriber)
-        return partial(self._stop, subscriber)
+        subscriber = _Subscriber(callback, self._log.last)
+        self.subscribers.append(subscriber)
 
-    def deliver(self, told: int = 0) -> None:
-        """Call the subscribers with new events, unless a thread does so already: then that thread delivers these too.
+        def stop() -> None:
+            if subscriber in self.subscribers:
+                self.subscribers.remove(subscriber)
 
-        The number given is that of the event that this thread has just told.
-        """
-        while any(one.heard < self._log.last for one in self._subscribers) and not self.is_held():
+        return stop
+
+    def deliver(self) -> None:
+        """Call the subscribers with new events, unless a thread does so already; then it goes on with these."""
+        while any(subscriber.last < self._log.last for subscriber in self.subscribers) and not self.is_held():
             turn: list[bool] = []
             try:
-                turn.extend(
-                    map(self._turn.acquire, (False,))
-                )  # taken and noted in one step, whatever interrupts
+                turn.extend(map(self._turn.acquire, (False,)))  # taken and noted in one step
                 if not turn[0]:
-                    self._answered(told)
                     return
-                with self._lock:
-                    last = self._log.last
-                    events = list(
-                        self._log.since(min((one.heard for one in self._subscribers), default=last))
-                    )
-                for event in events:
-                    depth = self._answers.pop(event.number, 0)
-                    for subscriber in tuple(self._subscribers):
-                        if subscriber.heard < event.number:
-                            self._called = get_ident(), subscriber, depth
-                            _call(subscriber, event)
-                for subscriber in self._subscribers:
-                    subscriber.heard = max(
-                        subscriber.heard, last
-                    )  # even if the log has forgotten some by now
+                self._call_all(self._log.last)
             finally:
                 if turn and turn[0]:
                     self._turn.release()
 
-    def _answered(self, told: int) -> None:
-        """Note that the subscriber called on this thread has told an event in answer to the one it was called with."""
-        if not told or self._called is None or self._called[0] != get_ident():
-            return
-        _, subscriber, depth = self._called
-        self._answers[told] = depth + 1
-        if depth >= _MOST_ANSWERS and subscriber in self._subscribers:
-            self._stop(subscriber)
-            why = "answers its own answers without end, and is called no more"
-            _log.error("the subscriber %r %s: make it tell only what is new", subscriber.call, why)
-
-    def _stop(self, subscriber: _Subscriber) -> None:
-        if subscriber in self._subscribers:
-            self._subscribers.remove(subscriber)
-        self.is_heard = bool(self._subscribers)
+    def _call_all(self, last: int) -> None:
+        first = min((subscriber.last for subscriber in self.subscribers), default=last)
+        for event in self._log.since(first):
+            for subscriber in tuple(self.subscribers):
+                if subscriber.last < event.number:
+                    subscriber.last = event.number
+                    _call(subscriber, event)
+        for subscriber in self.subscribers:
+            subscriber.last = max(subscriber.last, last)  # the log may have forgotten some
 
     def is_held(self) -> bool:
         """Return whether this thread holds the base, as within `with kb.reading()`."""
@@ -367,12 +309,6 @@ def _call(subscriber: _Subscriber, event: Event) -> None:
     try:
         subscriber.call(event)
     except Exception:
-        _log.error(
-            "the subscriber %r failed on %r",
-            subscriber.call,
-            event.text,
-            exc_info=not subscriber.has_failed,
+        logging.getLogger(__name__).exception(
+            "the subscriber %r failed on %r", subscriber.call, event.text
         )
-        subscriber.has_failed = True  # where is logged once: it may fail on all that comes
-    finally:
-        subscriber.heard = event.number

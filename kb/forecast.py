@@ -1,79 +1,52 @@
-"""What an attribute will be, and until when an action stays feasible, as far as the past tells.
+"""Predicts attributes, and until when an action stays feasible.
 
-Forecasts are computed when they are asked for, and depend only on what was measured and done until
-then. They only add caution: what is violated now stays violated.
-
-A series of measurements is continued by a curve. Its interval is conformal (Vovk, Gammerman and
-Shafer, "Algorithmic learning in a random world", 2005): forecasts from earlier points of the
-series are compared with what was measured then. After misses it widens, after hits it narrows
-(Gibbs and Candes, "Adaptive conformal inference under distribution shift", NeurIPS 2021).
+A forecast continues the measurements by a straight line. It depends only on what was measured and
+done until then. Its interval is conformal (Vovk, Gammerman and Shafer, "Algorithmic learning in a
+random world", 2005): the same forecast from earlier measurements is compared with what came.
+After misses it widens, after hits it narrows (Gibbs and Candes, "Adaptive conformal inference
+under distribution shift", NeurIPS 2021).
 """
 
-import logging
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from itertools import combinations, groupby, pairwise
-from operator import itemgetter
 from statistics import median
 from typing import Any, Final, NamedTuple
 
-from kb.elements import (
-    FUNCTIONS,
-    Attribute,
-    Constraint,
-    ForecastFunction,
-    exact,
-    finite_number,
-    listed,
-)
+from kb.elements import Attribute, Constraint, exact, finite_number, listed
 from kb.exceptions import InvalidValue
 from kb.explain import shortest, why
 from kb.network import Node
 from kb.records import RequiredAction
 from kb.state import State
 from kb.status import OPERATORS, Status
-from kb.views import Readable
-
-_log = logging.getLogger(__name__)
+from kb.views import AttributeView, Readable
 
 LEVEL: Final = 0.9
 """How often an interval shall contain what comes."""
-_FEWEST_ERRORS, _MOST_ERRORS, _ERRORS_IN_HORIZON = 9, 40, 4
-"""How many errors an interval needs and takes; more in a horizon would overlap."""
+_FEWEST_ERRORS: Final = 9
+_MOST_ERRORS: Final = 40
+_ERRORS_IN_HORIZON: Final = 4
+"""More errors in a horizon would overlap."""
 _ADAPTATION: Final = 0.1
 """How quickly an interval adapts after a hit or a miss."""
 _REACH: Final = 4.0
-"""How many times further ahead than its errors a forecast goes."""
-_FEWEST_POINTS, _MOST_POINTS, _MOST_SAMPLES, _MOST_COMPUTED = 8, 24, 2048, 4096
+"""How many times further ahead than it was checked a forecast goes."""
+_FEWEST_POINTS: Final = 8
+_MOST_POINTS: Final = 24
+"""How many points the slope of a line is taken from."""
+_MOST_SAMPLES: Final = 1024
 _JUMP: Final = 10.0
-"""A step against the rates that is so many times the usual one restores an attribute."""
-_LOOKS, _HALVINGS = 128, 24
-"""At how many instants a horizon is looked at; between two, a change is found by halving."""
+"""A step against the usual direction that is so many times the usual one restores an attribute."""
+_LOOKS: Final = 128
+"""At how many instants a horizon is looked at."""
+_TICKS: Final = 2**20
+"""How finely the span between two looks is searched."""
 _ROUNDING: Final = 1e-9
 _WORSE, _EXPECTED, _BETTER = -1, 0, 1
-
-
-@dataclass(frozen=True, slots=True)
-class Curve:
-    """The value at a time [s], and how it gets there, in words with "{}" for the unit.
-
-    A guess uses a rate that was not learned yet.
-    """
-
-    value: Callable[[float], float | None]
-    words: str = ""
-    is_guess: bool = False
-
-
-class Expectation(NamedTuple):
-    """An expected value, how far it may be off if that is known, and how it gets there."""
-
-    value: float
-    radius: float | None
-    words: str
 
 
 class Series(NamedTuple):
@@ -87,14 +60,7 @@ class Series(NamedTuple):
         return Series(self.times[first : last + 1], self.values[first : last + 1])
 
 
-def line(time: float, value: float, slope: float, words: str = "") -> Curve:
-    """Continue from a point with a slope [1/s]."""
-    change = "stays as it is"
-    if slope:
-        change = f"{'rises' if slope > 0 else 'falls'} by {abs(slope):.3g}{{}}/s"
-    return Curve(lambda then: value + slope * (then - time), change + words)
-
-
+@lru_cache(maxsize=4096)
 def slope_of(series: Series) -> float | None:
     """Return the median slope between two points [1/s]; None for too few points.
 
@@ -104,177 +70,227 @@ def slope_of(series: Series) -> float | None:
         return None
     thinning = math.ceil(len(series.times) / _MOST_POINTS)
     points = list(zip(*series, strict=True))[::-thinning]
-    slopes = [
-        (value - other) / (time - before)
-        for (time, value), (before, other) in combinations(points, 2)
-    ]
-    return median(slopes)
+    return median(
+        (value - earlier) / (time - before)
+        for (time, value), (before, earlier) in combinations(points, 2)
+    )
 
 
-def jumps_in(series: Series) -> list[float]:
-    """Return when an attribute was restored [s]: it jumped against its usual direction.
+def restorations(values: Sequence[float]) -> list[int]:
+    """Return how often an attribute was restored until each measurement.
 
-    No forecast is judged by what came after that. What only comes back from an outlier is no jump.
+    It jumped against its usual direction then. What only comes back from an outlier is no jump.
     """
-    times, values = series
     steps = [value - before for before, value in pairwise(values)]
-    usual = median(steps) if steps else 0.0
-    if not usual:
-        return []
-    direction = math.copysign(1.0, usual)
-    largest = _JUMP * median(map(abs, steps))
-    return [
-        times[place]
-        for place in range(2, len(times))
-        if (values[place - 1] - values[place]) * direction > largest
-        and (values[place - 2] - values[place]) * direction > largest
-    ]
+    usual = median(steps or [0.0])
+    largest = _JUMP * median(map(abs, steps)) if usual else math.inf
+    counts = [0, 0]
+    for place in range(2, len(values)):
+        rises = [(before - values[place]) * usual for before in values[place - 2 : place]]
+        counts.append(counts[-1] + (min(rises) > largest * abs(usual)))
+    return counts
 
 
-def constant(series: Series, _: float) -> Curve:
-    """Stay at the last value."""
-    return line(series.times[-1], series.values[-1], 0.0)
+def rates_by_measurement(
+    element: Attribute, times: Sequence[float], requests: Iterable[RequiredAction]
+) -> list[frozenset[str]]:
+    """Return the names of the rates that applied from each measurement on.
+
+    The name of a rate is that of its action; it is empty if the rate always applies.
+    """
+    changes = []
+    for request in requests:
+        changes.append((request.start, request.action, True))
+        if request.end is not None:
+            changes.append((request.end, request.action, False))
+    changes.sort(reverse=True)
+    actions = {""}
+    names = []
+    for time in times:
+        while changes and changes[-1][0] <= time:
+            _, action, is_start = changes.pop()
+            (actions.add if is_start else actions.discard)(action)
+        names.append(_applying(element, actions))
+    return names
 
 
-def trend(series: Series, ahead: float) -> Curve | None:
-    """Continue a robust line through the measurements of twice the time ahead [s]."""
-    end = series.times[-1]
-    fewest = max(len(series.times) - _FEWEST_POINTS, 0)
-    first = min(fewest, bisect_left(series.times, end - 2 * ahead))
-    latest = series.part(first, len(series.times) - 1)
-    slope = slope_of(latest)
-    if slope is None:
-        return None
-    heights = [value - slope * (time - end) for time, value in zip(*latest, strict=True)]
-    return line(end, median(heights), slope)
+def _applying(element: Attribute, actions: Iterable[str]) -> frozenset[str]:
+    return frozenset({rate.while_ for rate in element.rates} & {"", *actions})
 
 
-def by_function(function: ForecastFunction, series: Series) -> Curve:
-    """Continue as a function of the author says; an error is logged, and means unknown."""
-    samples = tuple(zip(*series, strict=True))
+class Forecast(NamedTuple):
+    """The expected value of an attribute at a time [s], its interval, and why.
 
-    def value(then: float) -> float | None:
-        try:
-            forecast = function(samples, then)
-            return None if forecast is None else finite_number(forecast)
-        except Exception:
-            _log.exception("the forecast %r failed", function)
-            return None
+    `level` is how often the interval contains what comes. Value, low and high are None where they
+    are not known. `change` says how the attribute gets there.
+    """
 
-    return Curve(value, "goes on as a function of the model's says")
+    attribute: str
+    at: float
+    value: float | None
+    low: float | None
+    high: float | None
+    level: float
+    reason: str
+    change: str = ""
+
+    def __str__(self) -> str:
+        return self.reason
 
 
-class SeriesForecast:
-    """How a series continues, and how far that may be off.
+class Line(NamedTuple):
+    """The value at the start of a line, its slope [1/s], and whether that was not learned yet."""
+
+    value: float
+    slope: float
+    is_guess: bool = False
+
+
+class Course:
+    """How an attribute goes on from its measurements.
 
     Args:
-        series: the measurements.
-        fit: continues the series from one of its places, to be right about so far ahead [s].
-        is_alike: whether a span of time from the past is like the one to come.
-        is_trusted: a stated rate gives a value before it could be checked.
+        node: the attribute.
+        series: its measurements.
+        rates: the names of the rates that apply from each measurement on; those of the last one
+            apply as far as the forecast goes.
+        is_stated: somebody states what is done meanwhile. Else the errors include what came of
+            actions that began or ended.
     """
 
     def __init__(
-        self,
-        series: Series,
-        fit: Callable[[int, float], Curve | None],
-        is_alike: Callable[[float, float], bool],
-        is_trusted: bool,
+        self, node: Node, series: Series, rates: list[frozenset[str]], is_stated: bool
     ) -> None:
+        self._node = node
+        self._element = node.attribute
         self._series = series
-        self._fit = fit
-        self._is_alike = is_alike
-        self._jumps = jumps_in(series)
-        self._is_trusted = is_trusted
-        self._radii: list[float] = []
-        self._is_complete = False
-        self._curve = cache(lambda knot: fit(len(series.times) - 1, self._step * 2.0**knot))
-        latest = series.times[-2 * _FEWEST_POINTS :]
-        steps = sorted(time - before for before, time in pairwise(latest))
-        self._step = 1.0
-        if steps:
-            self._step = 2.0 ** math.floor(math.log2(steps[len(steps) // 2]))
+        self._rates = rates
+        self._restorations = restorations(series.values)
+        self._slopes = {rate.while_: rate.per_s for rate in self._element.rates}
+        self._unlearned = {rate.while_ for rate in self._element.rates if rate.learns}
+        self._learn()
+        self._is_by_rates = bool(rates[-1]) or not self._element.forecasting
+        self._is_steady = self._is_by_rates and (is_stated or not any(self._slopes))
+        steps = [time - before for before, time in pairwise(series.times[-2 * _FEWEST_POINTS :])]
+        self._step = 2.0 ** math.floor(math.log2(median(steps or [1.0])))
+        self._radii = list(self._checked_radii())
 
-    def at(self, time: float) -> Expectation | None:
-        """Return what is expected at a time [s]; None if that is not known."""
-        ahead = max(time - self._series.times[-1], self._step)
+    def at(self, time: float, now: float) -> Forecast | None:
+        """Forecast the attribute for a time [s]; None for too few measurements."""
+        element = self._element
+        passed = time - self._series.times[-1]
+        ahead = max(passed, self._step)
         knot = math.ceil(math.log2(ahead / self._step) - _ROUNDING)
+        line = self._line(len(self._rates) - 1, self._step * 2.0**knot)
         radius = self._radius(knot, ahead)
-        if radius is None and not self._is_trusted:
+        if line is None or (radius is None and not self._is_by_rates):
             return None
-        curve = self._curve(knot)
-        value = None if curve is None else curve.value(time)
-        if curve is None or value is None:
+        expected = line.value + line.slope * passed
+        value = clamped(element, expected)
+        low = high = None
+        span = "how exactly is not known"
+        if radius is not None and not line.is_guess:
+            low = clamped(element, expected - radius)
+            high = clamped(element, expected + radius)
+            span = f"{low:.3g} to {high:.3g}"
+        change = "stays as it is"
+        if line.slope:
+            speed = element.amount(f"{abs(line.slope):.3g}")
+            change = f"{'rises' if line.slope > 0 else 'falls'} by {speed}/s"
+        actions = ", ".join(sorted(filter(None, self._rates[-1])))
+        if actions:
+            change += f" while {actions}"
+        thresholds = [constraint.constraint.value for constraint in self._node.constraints]
+        shown = element.amount(shortest(value, thresholds))
+        reason = f"{element.name} is {shown} ({span}) in {time - now:.3g} s: it {change}"
+        return Forecast(element.name, time, value, low, high, LEVEL, reason, change)
+
+    def _learn(self) -> None:
+        """Learn rates from the latest pieces in which only one of them is unknown."""
+        element = self._element
+
+        def piece_of(place: int) -> tuple[frozenset[str], int, bool]:
+            is_inside = element.low < self._series.values[place] < element.high
+            return self._rates[place], self._restorations[place], is_inside
+
+        places = range(len(self._rates) - 1)  # from the last one on, other actions may be done
+        pieces = [(key, list(part)) for key, part in groupby(reversed(places), piece_of)]
+        for (names, _, is_inside), part in sorted(pieces, key=lambda piece: len(piece[0][0])):
+            learners = names & self._unlearned
+            slope = slope_of(self._series.part(part[-1], part[0]))
+            if len(learners) == 1 and is_inside and slope is not None:
+                (name,) = learners
+                self._slopes[name] = slope - self._slope(names - learners)
+                self._unlearned.remove(name)
+
+    def _slope(self, names: Iterable[str]) -> float:
+        return math.fsum(self._slopes[name] for name in names)
+
+    def _line(self, place: int, ahead: float) -> Line | None:
+        """Continue from a place, to be right about so far ahead [s]."""
+        times, values = self._series
+        if self._is_by_rates:
+            names = self._rates[place]
+            return Line(values[place], self._slope(names), not names.isdisjoint(self._unlearned))
+        if self._element.forecasting == "constant":
+            return Line(values[place], 0.0)
+        end = times[place]
+        fewest = max(place + 1 - _FEWEST_POINTS, 0)
+        latest = self._series.part(min(fewest, bisect_left(times, end - 2 * ahead)), place)
+        slope = slope_of(latest)
+        if slope is None:
             return None
-        return Expectation(value, radius, curve.words)
+        heights = [value - slope * (time - end) for time, value in zip(*latest, strict=True)]
+        return Line(median(heights), slope)
 
     def _radius(self, knot: int, ahead: float) -> float | None:
         """Return how far a forecast may be off: linear between doublings of the step."""
         radii = self._radii
-        while len(radii) <= knot and not self._is_complete:
-            radius = _quantile(self._errors(self._step * 2.0 ** len(radii)))
-            if radius is None:
-                self._is_complete = True
-            else:
-                radii.append(max([radius, *radii[-1:]]))
         if knot < len(radii):
             low = radii[max(knot - 1, 0)]
             return low + (radii[knot] - low) * (2.0 * ahead / (self._step * 2.0**knot) - 1.0)
-        farthest = self._step * 2.0 ** (len(radii) - 1)
-        if radii and (self._is_trusted or ahead <= _REACH * farthest):
-            return radii[-1] * ahead / farthest
-        return None
+        excess = ahead / (self._step * 2.0 ** (len(radii) - 1))
+        if not radii or (excess > _REACH and not self._is_by_rates):
+            return None
+        return radii[-1] * (math.sqrt(excess) if self._is_steady else excess)
+
+    def _checked_radii(self) -> Iterator[float]:
+        """Yield how far a forecast may be off, for each doubling of the step that was checked."""
+        ahead = self._step
+        radius = 0.0
+        while (checked := _quantile(self._errors(ahead))) is not None:
+            radius = max(radius, checked)
+            yield radius
+            ahead *= 2.0
 
     def _errors(self, ahead: float) -> list[float]:
-        """Return how far earlier forecasts were off; only those of alike spans, if enough."""
+        """Return how far earlier forecasts were off, in order of time."""
         times = self._series.times
         gap = max(self._step, ahead / _ERRORS_IN_HORIZON)
-        errors: list[float] = []
-        alike: list[float] = []
-        previous = -1
-        turn = math.floor((times[-1] - ahead) / gap)
-        while len(errors) < _MOST_ERRORS and turn * gap >= times[0]:
-            place = bisect_right(times, turn * gap) - 1
-            turn -= 1
-            came = self._arrival(place, ahead)
-            if place == previous or came is None:
-                continue
-            previous = place
-            error = self._error(place, came, ahead)
-            if error is None:
-                continue
-            errors.append(error)
-            if self._is_alike(times[place], times[came]):
-                alike.append(error)
-        if _quantile(alike[::-1]) is not None:
-            errors = alike
+        turns = range(math.ceil(times[0] / gap), math.floor((times[-1] - ahead) / gap) + 1)
+        places = dict.fromkeys(bisect_right(times, turn * gap) - 1 for turn in turns)
+        errors = [self._error(place, ahead) for place in list(places)[-2 * _MOST_ERRORS :]]
+        counted = [error for error in errors if error is not None][-_MOST_ERRORS:]
         # no error in n spans, one after the other, leaves a chance of 1 in n + 1 for the next
-        is_evident = len(errors) * gap >= _FEWEST_ERRORS * ahead
-        if self._is_trusted or is_evident or any(errors):
-            return errors[::-1]
-        return []
+        is_evident = len(counted) * gap >= _FEWEST_ERRORS * ahead
+        return counted if self._is_by_rates or is_evident or any(counted) else []
 
-    def _arrival(self, place: int, ahead: float) -> int | None:
-        """Return the place of the measurement that a forecast is compared with."""
-        times = self._series.times
+    def _error(self, place: int, ahead: float) -> float | None:
+        """Return how far a forecast from a place was off; None if it does not count."""
+        times, values = self._series
         then = times[place] + ahead
         came = bisect_left(times, then - _ROUNDING * ahead)
         if came == len(times):
             return None
         if times[came] > then + 2 * self._step:  # seldom measured: it is what it was last
-            return came - 1
-        return came
-
-    def _error(self, place: int, came: int, ahead: float) -> float | None:
-        times, values = self._series
-        if bisect_right(self._jumps, times[place]) != bisect_right(self._jumps, times[came]):
+            came -= 1
+        line = self._line(place, ahead)
+        if line is None or line.is_guess or self._restorations[place] < self._restorations[came]:
             return None
-        curve = self._fit(place, ahead)
-        present = self._curve(0)
-        if curve is None or present is None or curve.is_guess != present.is_guess:
+        if self._is_steady and len(set(self._rates[place:came])) > 1:
             return None
-        value = curve.value(max(times[came], min(times[place] + ahead, times[-1])))
-        return None if value is None else abs(values[came] - value)
+        value = line.value + line.slope * (max(times[came], then) - times[place])
+        return abs(values[came] - clamped(self._element, value))
 
 
 def _quantile(errors: Sequence[float]) -> float | None:
@@ -291,137 +307,109 @@ def _quantile(errors: Sequence[float]) -> float | None:
     return radius
 
 
-class ActionHistory:
-    """Which actions were done when, as far as that is on record."""
+class Forecaster:
+    """Predicts attributes of a knowledge base; called, it forecasts one attribute."""
 
-    def __init__(self, requests: Iterable[RequiredAction]) -> None:
-        changes: list[tuple[float, bool, str]] = []
-        for request in requests:
-            changes.append((request.start, True, request.action))
-            if request.end is not None:
-                changes.append((request.end, False, request.action))
-        self._times = [-math.inf]
-        self._actions: list[frozenset[str]] = [frozenset()]
-        for time, is_start, action in sorted(changes):
-            actions = self._actions[-1]
-            self._times.append(time)
-            self._actions.append(actions | {action} if is_start else actions - {action})
+    def __init__(self, base: Any) -> None:  # noqa: ANN401  # a KnowledgeBase, made with this
+        self._base = base
+        self._course = lru_cache(maxsize=32)(self._find_course)
 
-    def between(self, start: float, end: float) -> Iterator[tuple[float, frozenset[str]]]:
-        """Yield how long [s] which actions were done between two times [s], the latest first."""
-        place = bisect_left(self._times, end) - 1
-        while end > start:
-            begin = max(start, self._times[place])
-            if end > begin:
-                yield end - begin, self._actions[place]
-            end = begin
-            place -= 1
+    def __call__(
+        self, attribute: str, horizon: float, *, doing: Iterable[str] | None = None
+    ) -> Forecast:
+        """Forecast an attribute `horizon` s from now while actions are done.
 
+        By default these are the required ones, and the interval includes what comes of others that
+        may begin meanwhile.
+        """
+        now = self._base.now
+        then = now + _horizon(horizon)
+        actions = self.doing(doing)
+        return self.course(attribute, now, actions, is_stated=doing is not None)(then)
 
-class RateModel:
-    """The rates of an attribute [unit/s], stated or learned from a series of its measurements."""
+    def doing(self, actions: Iterable[str] | None) -> frozenset[str]:
+        """Return the names of the actions done meanwhile; by default those required now."""
+        if actions is None:
+            return frozenset(request.action for request in self._base.required_actions)
+        if isinstance(actions, str):
+            actions = (actions,)
+        names = listed("the actions that are done", actions)
+        return frozenset(self._base.actions[name].name for name in names)
 
-    def __init__(
-        self,
-        element: Attribute,
-        series: Series,
-        actions: ActionHistory,
-        slope_between: Callable[[int, int], float | None],
-    ) -> None:
-        self._element = element
-        self._series = series
-        self._actions = actions
-        self._slope_between = slope_between
-        self._jumps = jumps_in(series)
-        self._stated = {rate.while_: rate.per_s for rate in element.rates}
-        self._pieces = self._find_pieces()
+    def course(
+        self, attribute: str, now: float, doing: frozenset[str], *, is_stated: bool = True
+    ) -> Callable[[float], Forecast]:
+        """Return a function that forecasts an attribute for a time [s] while actions are done."""
+        view = self._base.attributes[attribute]
+        course = self._course(view, doing, is_stated, self._base.log.last)
 
-    def applying(self, actions: frozenset[str]) -> frozenset[str]:
-        """Return the names of the rates that apply; empty for the one that always does."""
-        return frozenset(name for name in self._stated if not name or name in actions)
+        def forecast(time: float) -> Forecast:
+            why_not = course
+            if isinstance(course, Course):
+                forecast = course.at(time, now)
+                if forecast is not None:
+                    return forecast
+                why_not = "too little was measured to go so far ahead"
+            reason = f"it is not known what {view.name} is in {time - now:.3g} s: {why_not}"
+            return Forecast(view.name, time, None, None, None, LEVEL, reason)
 
-    def curve(self, place: int, ahead: float, doing: frozenset[str] | None) -> Curve:
-        """Continue from a place while actions are done; None: those on record."""
-        time = self._series.times[place]
-        value = self._series.values[place]
-        slopes, guesses = self._slopes(place)
+        return forecast
 
-        def past_value(then: float) -> float:
-            changes = [
-                slopes[name] * span
-                for span, actions in self._actions.between(time, then)
-                for name in self.applying(actions)
-            ]
-            return clamped(self._element, value + math.fsum(changes))
-
-        if doing is None:
-            past = self._actions.between(time, time + ahead)
-            names_then = {name for _, actions in past for name in self.applying(actions)}
-            return Curve(past_value, is_guess=not guesses.isdisjoint(names_then))
-        names = sorted(self.applying(doing))
-        slope = math.fsum(slopes[name] for name in names)
-        during = ", ".join(filter(None, names))
-        future = line(time, value, slope, f" while {during}" if during else "")
-        return Curve(future.value, future.words, not guesses.isdisjoint(names))
-
-    def _slopes(self, place: int) -> tuple[dict[str, float], set[str]]:
-        """Return the slope of each rate at a place, and the names of those not yet learned."""
-        slopes = dict(self._stated)
-        pending = {rate.while_ for rate in self._element.rates if rate.learns}
-        latest_first = [piece for piece in reversed(self._pieces) if piece[0] < place]
-        for first, last, rates in sorted(latest_first, key=lambda piece: len(piece[2])):
-            learners = rates & pending
-            if len(learners) != 1:
-                continue
-            slope = self._slope_between(first, min(last, place))
-            if slope is None:
-                continue
-            (name,) = learners
-            slopes[name] = slope - math.fsum(slopes[other] for other in rates - learners)
-            pending.remove(name)
-        return slopes, pending
-
-    def _find_pieces(self) -> list[tuple[int, int, frozenset[str]]]:
-        """Return the pieces in which the same rates apply, without jumps and bounds."""
-        times, values = self._series
-        rates_of_step: list[frozenset[str] | None] = []
-        for place in range(1, len(times)):
-            done = self._actions.between(times[place - 1], times[place])
-            rates = {self.applying(actions) for _, actions in done}
-            is_inside = self._is_inside(values[place - 1]) and self._is_inside(values[place])
-            is_one_piece = len(rates) == 1 and is_inside and times[place] not in self._jumps
-            rates_of_step.append(rates.pop() if is_one_piece else None)
-        pieces = []
-        for rates_of_piece, steps_of_piece in groupby(enumerate(rates_of_step), itemgetter(1)):
-            numbers = [number for number, _ in steps_of_piece]
-            if rates_of_piece is not None:
-                pieces.append((numbers[0], numbers[-1] + 1, rates_of_piece))
-        return pieces
-
-    def _is_inside(self, value: float) -> bool:
-        return self._element.low < value < self._element.high
+    def _find_course(
+        self, view: AttributeView, doing: frozenset[str], is_stated: bool, _: int
+    ) -> Course | str:
+        """Return how an attribute goes on after an event, or why that is not known."""
+        element = view.node.attribute
+        if not element.forecasting and not element.rates:
+            return "its model says nothing of that (see Attribute.forecast)"
+        if view.value is None:
+            return "it is not measured"
+        if view.is_stale:
+            return "what was measured is stale"
+        latest = dict(view.history[-_MOST_SAMPLES:])  # of one instant, the last
+        series = Series(tuple(latest), tuple(latest.values()))
+        rates = rates_by_measurement(element, series.times, self._base.history.actions)
+        rates[-1] = _applying(element, doing)
+        return Course(view.node, series, rates, is_stated)
 
 
-# -------------------------------------------------------------------- of a knowledge base
+def clamped(element: Attribute, value: float) -> float:
+    """Return the value of an attribute's range that is nearest."""
+    return min(max(value, element.low), element.high)
 
 
-class Forecast(NamedTuple):
-    """The expected value of an attribute at a time [s], its interval, and why.
+def _horizon(horizon: float) -> float:
+    if finite_number(horizon) >= 0:
+        return float(horizon)
+    raise InvalidValue(f"a horizon is a time in seconds from 0, not {horizon!r}")
 
-    `level` is how often the interval contains what comes. Value, low and high are None where they
-    are not known.
+
+def _is_violated(constraint: Constraint, forecast: Forecast, side: int = _WORSE) -> bool:
+    """Return whether one end of a forecast violates a constraint."""
+    ends = {_WORSE: forecast.low, _EXPECTED: forecast.value, _BETTER: forecast.high}
+    value = ends[side if constraint.operator in (">=", ">") else -side]
+    if value is None:
+        value = forecast.value
+    return value is not None and not OPERATORS[constraint.operator](value, constraint.value)
+
+
+def suppose_forecast(state: State, node: Node, forecast: Forecast) -> None:
+    """Enter what is forecast for an attribute in a copy of a state.
+
+    A constraint is violated if it is now, or if the worse end of the interval violates it, and
+    else stays as it is.
     """
+    if forecast.value is None:
+        return
+    for constraint in node.constraints:
+        is_violated = _is_violated(constraint.constraint, forecast)
+        state.hold(constraint, Status.VIOLATED if is_violated else state.status[constraint])
+    state.value[node] = forecast.value
+    state.time.pop(node, None)
+    state.give_reason("forecast", node, forecast.reason)
 
-    attribute: str
-    at: float
-    value: float | None
-    low: float | None
-    high: float | None
-    level: float
-    reason: str
 
-    def __str__(self) -> str:
-        return self.reason
+# -------------------------------------------------------------------- until when
 
 
 class FeasibleUntil(NamedTuple):
@@ -444,154 +432,19 @@ class FeasibleUntil(NamedTuple):
     def __str__(self) -> str:
         if self.at == self.now:
             return f"unfeasible now: {self.reason}"
+        feasible = f"feasible for {self.within:g} s, as far as is known"
         if self.at is None and self.earliest is None:
-            return f"feasible for {self.within:g} s, as far as is known"
-        earliest = self._in_seconds(self.earliest)
-        if self.at is None:
-            at_earliest = f"unfeasible in {earliest} s at the earliest: {self.reason}"
-            return f"feasible for {self.within:g} s, as far as is known, {at_earliest}"
-        at = self._in_seconds(self.at)
-        interval = (
-            f"{earliest or at} to {self._in_seconds(self.latest) or f'more than {self.within:g}'}"
+            return feasible
+        at, earliest, latest = (
+            "" if time is None else f"{time - self.now:.3g}"
+            for time in (self.at, self.earliest, self.latest)
         )
-        if not self.is_bounded and self.earliest == self.latest:
+        if self.at is None:
+            return f"{feasible}, unfeasible in {earliest} s at the earliest: {self.reason}"
+        interval = f"{earliest or at} to {latest or f'more than {self.within:g}'}"
+        if not self.is_bounded and earliest == latest:
             interval = "how exactly is not known"
         return f"unfeasible in {at} s ({interval}): {self.reason}"
-
-    def _in_seconds(self, time: float | None) -> str:
-        return "" if time is None else f"{time - self.now:.3g}"
-
-
-class Forecaster:
-    """Predicts attributes of a knowledge base; called, it forecasts one attribute."""
-
-    def __init__(self, base: Any) -> None:  # noqa: ANN401  # a KnowledgeBase, made with this
-        self._base = base
-        self._forecasts: dict[str, tuple[object, SeriesForecast | str]] = {}
-        self._computed: dict[object, Any] = {}
-        self._history: tuple[object, ActionHistory] = ((), ActionHistory(()))
-
-    def __call__(
-        self, attribute: str, horizon: float, *, doing: Iterable[str] | None = None
-    ) -> Forecast:
-        """Forecast an attribute `horizon` s from now, by default with the required actions."""
-        now = self._base.now
-        then = now + _horizon(horizon)
-        return self.at(attribute, then, now, self.doing(doing))
-
-    def doing(self, actions: Iterable[str] | None) -> frozenset[str]:
-        """Return the names of the actions done meanwhile; by default those required now."""
-        if actions is None:
-            return frozenset(request.action for request in self._base.required_actions)
-        names = (
-            (actions,) if isinstance(actions, str) else listed("the actions that are done", actions)
-        )
-        return frozenset(self._base.actions[name].name for name in names)
-
-    def at(self, attribute: str, time: float, now: float, doing: frozenset[str]) -> Forecast:
-        """Forecast an attribute for a time [s] while actions are done."""
-        name = self._base.attributes[attribute].name
-        element = self._base.model.attributes[name]
-        ahead = f"{time - now:.3g} s"
-        forecast = self.series_forecast(name, doing)
-        expected = None if isinstance(forecast, str) else forecast.at(time)
-        if expected is None:
-            why_not = (
-                forecast
-                if isinstance(forecast, str)
-                else "too little was measured to go so far ahead"
-            )
-            reason = f"it is not known what {name} is in {ahead}: {why_not}"
-            return Forecast(name, time, None, None, None, LEVEL, reason)
-        value = clamped(element, expected.value)
-        words = expected.words.format(element.amount(""))
-        constraints = self._base.model.constraints
-        thresholds = [
-            constraint.value for constraint in constraints if constraint.attribute == name
-        ]
-        shown = element.amount(shortest(value, thresholds))
-        low = high = None
-        span = "how exactly is not known"
-        if expected.radius is not None:
-            low = clamped(element, expected.value - expected.radius)
-            high = clamped(element, expected.value + expected.radius)
-            span = f"{low:.3g} to {high:.3g}"
-        reason = f"{name} is {shown} ({span}) in {ahead}: it {words}"
-        return Forecast(name, time, value, low, high, LEVEL, reason)
-
-    def series_forecast(self, attribute: str, doing: frozenset[str]) -> SeriesForecast | str:
-        """Return how an attribute continues while actions are done, or why that is not known."""
-        element = self._base.model.attributes[attribute]
-        view = self._base.attributes[attribute]
-        if not element.forecasting and not element.rates:
-            return "its model says nothing of that (see Attribute.forecast)"
-        if view.value is None:
-            return "it is not measured"
-        if view.is_stale:
-            return "what was measured is stale"
-        requests = self._base.history.actions
-        ends = tuple((request.number, request.end) for request in requests)
-        if self._history[0] != ends:
-            self._history = (ends, ActionHistory(requests))
-        key = (view.time, view.value, ends, doing, element.forecasting, element.rates)
-        cached = self._forecasts.get(attribute)
-        if cached is None or cached[0] != key:
-            latest = dict(view.history[-_MOST_SAMPLES:])  # of one instant, the last
-            series = Series(tuple(latest), tuple(latest.values()))
-            cached = (key, self._continue(element, series, doing))
-            self._forecasts[attribute] = cached
-        return cached[1]
-
-    def _continue(
-        self, element: Attribute, series: Series, doing: frozenset[str]
-    ) -> SeriesForecast | str:
-        actions = self._history[1]
-
-        def slope_between(first: int, last: int) -> float | None:
-            times = series.times
-            key = ("slope", element.name, times[first], times[last], series.values[last])
-            slope: float | None = self._once(key, lambda: slope_of(series.part(first, last)))
-            return slope
-
-        rates = RateModel(element, series, actions, slope_between)
-        method = element.forecasting
-        if not method or rates.applying(doing):
-            last = len(series.times) - 1
-            applying = rates.applying(doing)
-            return SeriesForecast(
-                series,
-                lambda place, ahead: rates.curve(place, ahead, doing if place == last else None),
-                lambda start, end: all(
-                    rates.applying(done) == applying for _, done in actions.between(start, end)
-                ),
-                is_trusted=True,
-            )
-        function = FUNCTIONS.get(method)
-        if ":" in method and function is None:
-            return f"it is forecast by the function {method}, which this program has not given"
-
-        def fit(place: int, ahead: float) -> Curve | None:
-            past = series.part(0, place)
-            if function is not None:
-                return by_function(function, past)
-            if method == "constant":
-                return constant(past, ahead)
-            key = ("trend", element.name, past.times[-1], past.values[-1], ahead)
-            curve: Curve | None = self._once(key, lambda: trend(past, ahead))
-            return curve
-
-        def is_alike(start: float, end: float) -> bool:
-            return all(done <= doing for _, done in actions.between(start, end))
-
-        return SeriesForecast(series, fit, is_alike, is_trusted=False)
-
-    def _once(self, key: object, compute: Callable[[], Any]) -> Any:  # noqa: ANN401  # as computed
-        """Return what follows from a part of the past, which never changes; it is computed once."""
-        if key not in self._computed:
-            if len(self._computed) >= _MOST_COMPUTED:
-                self._computed.clear()
-            self._computed[key] = compute()
-        return self._computed[key]
 
 
 def feasible_until(
@@ -610,133 +463,74 @@ def feasible_until(
             return FeasibleUntil(node.name, now, now, now, why(state, node, now), now, ahead)
         if doing is None and node not in state.requested:
             doing = (node.name,)
-        search = _Search(base, state, node, now, ahead, base.forecast.doing(doing))
-        expected = search.first(_EXPECTED)
-        earliest = search.first(_WORSE)
-        latest = search.first(_BETTER)
-    first = expected or earliest or latest
-    if first is None:
+        done = base.forecast.doing(doing)
+        courses = {}
+        for constraint in _constraints(node):
+            if state.status[constraint] is Status.SATISFIED:
+                courses[constraint] = cache(
+                    base.forecast.course(constraint.requires[0].name, now, done)
+                )
+        search = _Search(state, node, courses, now, ahead / (_LOOKS * _TICKS))
+        ticks = {side: search.first(side) for side in (_EXPECTED, _WORSE, _BETTER)}
         reason = "nothing is known that makes it unfeasible"
-        return FeasibleUntil(node.name, None, None, None, reason, now, ahead)
-    return FeasibleUntil(
-        node.name,
-        None if expected is None else expected.time,
-        None if earliest is None else earliest.time,
-        None if latest is None else latest.time,
-        first.reason,
-        now,
-        ahead,
-        first.is_bounded,
-    )
+        is_bounded = False
+        for side, tick in reversed(ticks.items()):
+            if tick is not None:
+                reason, is_bounded = search.describe(tick, side)
+    at, earliest, latest = (tick if tick is None else search.time(tick) for tick in ticks.values())
+    return FeasibleUntil(node.name, at, earliest, latest, reason, now, ahead, is_bounded)
 
 
-class _Unfeasible(NamedTuple):
-    time: float
-    reason: str
-    is_bounded: bool
-
-
+@dataclass
 class _Search:
-    """Looks for the first instant at which an action is unfeasible by the forecasts."""
+    """Looks for the first tick at which an action is unfeasible by forecasts of what it needs."""
 
-    def __init__(
-        self,
-        base: Readable,
-        state: State,
-        action: Node,
-        now: float,
-        within: float,
-        doing: frozenset[str],
-    ) -> None:
-        self._state = state
-        self._action = action
-        self._instants = [now + within * look / _LOOKS for look in range(_LOOKS + 1)]
-        self._is_unfeasible_with: dict[tuple[Node, ...], bool] = {(): False}
-        self._expected: dict[Node, Callable[[float], Expectation | None]] = {}
-        for constraint in dict.fromkeys(_constraints(action)):
-            forecast = base.forecast.series_forecast(constraint.requires[0].name, doing)
-            is_satisfied = state.status[constraint] is Status.SATISFIED
-            if is_satisfied and not isinstance(forecast, str):
-                self._expected[constraint] = cache(forecast.at)
+    state: State
+    action: Node
+    courses: Mapping[Node, Callable[[float], Forecast]]
+    now: float
+    tick_s: float
 
-    def first(self, side: int) -> _Unfeasible | None:
-        """Return the first instant, for one end of the intervals; None if there is none."""
-        for before, time in pairwise(self._instants):
-            if not self._is_unfeasible(time, side):
-                continue
-            for _ in range(_HALVINGS):
-                middle = (before + time) / 2
-                if self._is_unfeasible(middle, side):
-                    time = middle
-                else:
-                    before = middle
-            return self._described(before, time, side)
+    def time(self, tick: int) -> float:
+        return self.now + tick * self.tick_s
+
+    def first(self, side: int) -> int | None:
+        """Return the first tick for one end of the intervals; None if there is none."""
+        is_unfeasible = cache(self._is_unfeasible)
+        for start in range(0, _LOOKS * _TICKS, _TICKS):
+            end = start + _TICKS
+            if is_unfeasible(self.violated(end, side)):
+                return bisect_left(
+                    range(end),
+                    True,
+                    start,
+                    key=lambda tick: is_unfeasible(self.violated(tick, side)),
+                )
         return None
 
-    def _described(self, before: float, time: float, side: int) -> _Unfeasible:
-        violated = self._violated(time, side)
-        already = self._violated(before, side)
-        new = [constraint for constraint in violated if constraint not in already]
-        node = (new or violated)[0]
-        expected = self._expected[node](time)
-        assert expected is not None
-        change = expected.words.format(node.attribute.amount(""))
+    def describe(self, tick: int, side: int) -> tuple[str, bool]:
+        """Return what makes the action unfeasible, and whether its interval is known."""
+        before = self.violated(tick - 1, side)
+        node = min(self.violated(tick, side), key=before.__contains__)
+        forecast = self.courses[node](self.time(tick))
         threshold = node.attribute.amount(exact(node.constraint.value))
-        reason = f"{node.attribute.name} {change} and reaches {threshold}"
-        return _Unfeasible(time, reason, expected.radius is not None)
+        reason = f"{node.attribute.name} {forecast.change} and reaches {threshold}"
+        return reason, forecast.low is not None
 
-    def _violated(self, time: float, side: int) -> tuple[Node, ...]:
+    def violated(self, tick: int, side: int) -> tuple[Node, ...]:
+        time = self.time(tick)
         return tuple(
             node
-            for node, expected_at in self._expected.items()
-            if _is_violated(node, expected_at(time), side)
+            for node, course in self.courses.items()
+            if _is_violated(node.constraint, course(time), side)
         )
 
-    def _is_unfeasible(self, time: float, side: int) -> bool:
-        nodes = self._violated(time, side)
-        if nodes not in self._is_unfeasible_with:
-            supposed = self._state.copy()
-            for node in nodes:
-                supposed.hold(node, Status.VIOLATED)
-            supposed.infer()
-            status = supposed.status[self._action]
-            self._is_unfeasible_with[nodes] = status is Status.UNFEASIBLE
-        return self._is_unfeasible_with[nodes]
-
-
-def _is_violated(node: Node, expected: Expectation | None, side: int) -> bool:
-    """Return whether a constraint is violated at one end of an expected interval."""
-    if expected is None:
-        return False
-    constraint = node.constraint
-    upwards = 1 if constraint.operator in (">=", ">") else -1
-    value = expected.value + side * upwards * (expected.radius or 0.0)
-    return not OPERATORS[constraint.operator](clamped(node.attribute, value), constraint.value)
-
-
-def is_violated_then(constraint: Constraint, forecast: Forecast) -> bool:
-    """Return whether the worse end of a forecast's interval violates a constraint."""
-    worse = forecast.low if constraint.operator in (">=", ">") else forecast.high
-    value = forecast.value if worse is None else worse
-    return value is not None and not OPERATORS[constraint.operator](value, constraint.value)
-
-
-def suppose_forecast(state: State, node: Node, forecast: Forecast) -> None:
-    """Enter what is forecast for an attribute in a copy of a state.
-
-    A constraint is violated if it is now, or if the worse end of the interval violates it, and
-    else stays as it is.
-    """
-    if forecast.value is None:
-        return
-    for constraint in node.constraints:
-        if is_violated_then(constraint.constraint, forecast):
-            state.hold(constraint, Status.VIOLATED)
-        else:
-            state.hold(constraint, state.status[constraint])
-    state.value[node] = forecast.value
-    state.time.pop(node, None)
-    state.give_reason("forecast", node, forecast.reason)
+    def _is_unfeasible(self, violated: tuple[Node, ...]) -> bool:
+        supposed = self.state.copy()
+        for node in violated:
+            supposed.hold(node, Status.VIOLATED)
+        supposed.infer()
+        return supposed.status[self.action] is Status.UNFEASIBLE
 
 
 def _constraints(node: Node) -> Iterator[Node]:
@@ -744,15 +538,3 @@ def _constraints(node: Node) -> Iterator[Node]:
     yield from node.constraints
     for part in node.requires:
         yield from _constraints(part)
-
-
-def clamped(element: Attribute, value: float) -> float:
-    """Return the value of an attribute's range that is nearest."""
-    return min(max(value, element.low), element.high)
-
-
-def _horizon(horizon: float) -> float:
-    number = finite_number(horizon)
-    if number >= 0:
-        return number
-    raise InvalidValue(f"a horizon is a time in seconds from 0, not {horizon!r}")

@@ -5,22 +5,21 @@ event, in a single step: from there on the event is in. Then it applies the even
 assigns, so that whoever comes next can repeat what an interrupt cut short.
 """
 
-import copyreg
+import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import wraps
 from itertools import starmap
-from math import inf, isfinite, nextafter
+from math import inf, isfinite
 from operator import attrgetter
 from pathlib import Path
 from threading import Lock, RLock
-from types import MappingProxyType
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar
-from weakref import finalize
+from weakref import WeakSet, finalize
 
-from kb import facts, questions, views
-from kb.debounce import NEVER, Alarms
+from kb import facts, situations, views
+from kb.debounce import NEVER
 from kb.diagnostics import DiagnosticProblem, DiagnosticRules, record_diagnostics
 from kb.elements import (
     Action,
@@ -37,38 +36,31 @@ from kb.elements import (
     whole,
 )
 from kb.elements import parameters as checked_parameters
-from kb.events import RECORDS, Event, Log, Publisher
+from kb.events import RECORDS, Event, Log, Publisher, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
 from kb.explain import reading as reading_in_words
 from kb.explain import staleness, why, why_selected
 from kb.forecast import Forecaster, feasible_until
-from kb.history import HistoryView, Records
 from kb.model import Model, Serials, amend, amendment
-from kb.network import Network, Node, Ref
+from kb.network import Network, Node
 from kb.ontology import Answer, Ontology
 from kb.planning import by_owner, decide
-from kb.questions import ELEMENTS, ElementLike, outline, resolve
 from kb.records import (
-    RESULTS,
     Attempt,
-    Memory,
+    HistoryView,
     Process,
     ReconfigurationPlan,
+    Records,
     Reply,
     RequiredAction,
     VetoAnswer,
     check_result,
 )
-from kb.state import Reason, State
+from kb.situations import ELEMENTS, ElementLike, resolve
+from kb.state import KEPT, Reason, State
 from kb.status import Status
-from kb.store import KEPT, LOCKS_HELD_OVER_FORKS, Store, StoreClient
+from kb.store import Store
 
-INTERNAL: Final = frozenset({"begin", "store"})
-"""The verbs of events that the model or the store causes; nobody records them again."""
-_REPLAYABLE: Final = {"measure": "measure", "amend": "_amend"}
-"""The method for each verb that can be recorded again; `_update` adds the others."""
-_PLAIN: Final = (str, int, views.ElementView)
-"""Most arguments are of these classes, and to ask whether one is a mapping takes long."""
 _OPERATIONS: Final = ("activate", "deactivate", "configure")
 _REENTRANT: Final = (
     "re-entrant call during an update: a signal handler or finalizer cannot ask or record "
@@ -76,16 +68,30 @@ _REENTRANT: Final = (
 )
 _CLOCK_SLACK_S: Final = 1.0
 """How far a clock may go back: clocks are corrected, and threads may be overtaken [s]."""
+_REPLAYABLE: Final[dict[str, Callable[..., object]]] = {}
+"""The method that records an event again, by its verb."""
+_LOCKS: Final[WeakSet[Any]] = WeakSet()
+"""The locks of all bases: if another thread held one at a fork, the child could never use that base."""
+_held_locks: list[Any] = []
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def _read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
-    return MappingProxyType(values)
+def _hold_locks() -> None:
+    for lock in tuple(_LOCKS):
+        lock.acquire()
+        _held_locks.append(lock)
 
 
-copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
+def _release_locks() -> None:
+    while _held_locks:
+        _held_locks.pop().release()
+
+
+os.register_at_fork(
+    before=_hold_locks, after_in_parent=_release_locks, after_in_child=_release_locks
+)
 
 
 def _update(
@@ -93,30 +99,25 @@ def _update(
 ) -> Callable[Concatenate["KnowledgeBase", P], T]:
     """Make a method record facts: hold the lock, record what is due, run it, call subscribers.
 
-    The clock, mappings among the arguments and subscribers are foreign code, which may wait for
-    another thread. So they are called without the lock.
+    The clock and the subscribers are foreign code, which may wait for another thread. So they are
+    called without the lock.
     """
-    _REPLAYABLE[method.__name__.removeprefix("_")] = method.__name__
 
     @wraps(method)
     def updating(self: "KnowledgeBase", *args: P.args, **kwargs: P.kwargs) -> T:
-        arguments = [_copied(value) for value in args]
-        keywords = {name: _copied(value) for name, value in kwargs.items()}
         now = self._read_clock()
         with self._lock:
-            self._check_open()
+            if self.store is not None:
+                self.store.check_open()
             self._prepare(now)
             with self._updating:
-                result = method(self, *arguments, **keywords)  # type: ignore[arg-type]  # both are copies
+                result = method(self, *args, **kwargs)
             last = self.log.last
         self._publish(last)
         return result
 
+    _REPLAYABLE[method.__name__.removeprefix("_")] = updating
     return updating  # type: ignore[return-value]  # nobody passes self by name
-
-
-def _copied(value: object) -> object:
-    return dict(value) if not isinstance(value, _PLAIN) and isinstance(value, Mapping) else value
 
 
 class Reading:
@@ -146,12 +147,7 @@ class Reading:
 class _ModelObserver:
     """Passes changes of the model on to a knowledge base, which its methods stand for."""
 
-    def __init__(
-        self,
-        prepare: Callable[[], None],
-        amended: Callable[[facts.Amended], None],
-        heard: Callable[[], None],
-    ) -> None:
+    def __init__(self, prepare: Any, amended: Any, heard: Any) -> None:  # noqa: ANN401  # bound methods
         self.prepare = prepare
         self.amended = amended
         self.heard = heard
@@ -165,8 +161,8 @@ class KnowledgeBase:
         clock: returns the time [s]; facts, requests and plans get their times from it. By default
             it is the time of day, in seconds since 1970-01-01 UTC.
         store: the file that keeps the log; the base continues from it. See `flush` and `close`.
-        keep: how many measurements of each attribute the store keeps; it keeps the newest.
-        memory: how much of the past is held in memory.
+        keep: how many measurements of each attribute are kept, in memory and in the store; the
+            newest are.
         is_timed: whether time causes events by itself; False for a replay, in which the recorded
             events of time are replayed in their places, and nowhere else.
 
@@ -193,7 +189,6 @@ class KnowledgeBase:
         clock: Callable[[], float] = time.time,
         store: str | Path | None = None,
         keep: int = KEPT,
-        memory: Memory | None = None,
         is_timed: bool = True,
     ) -> None:
         if not isinstance(model, Model):
@@ -203,61 +198,46 @@ class KnowledgeBase:
                 f"the clock is a function that returns the time in seconds, not {clock!r}"
             )
         whole("keep", keep)
-        if not isinstance(memory, Memory | None):
-            raise InvalidValue(
-                f"how much is held in memory is said by a kb.Memory, not by {memory!r}"
-            )
         model.settle()
-        memory = memory or Memory()
         self.model = model
         self._clock = clock
+        self._is_timed = is_timed
         self._lock = RLock()
+        _LOCKS.add(self._lock)
         self._updating = Lock()  # held, with the other one, while this thread records an event
         self.store = None if store is None else Store(store, model, keep)
+        self._serials = Serials.of(model) if self.store is None else self.store.serials
         self._network = network = Network(model)
-        self._serials = Serials.of(model)
-        self._state = State(network, memory)
-        self._records = Records(memory)
-        self._alarms = Alarms(is_timed)
-        self._is_timed = is_timed
+        self._state = State(network, keep)
+        self._records = Records()
         self._event: Event | None = None  # recorded, and not applied completely
-        self._amendment: tuple[facts.Amended, Sequence[Node]] | None = None
+        self._amendment: facts.Amended | None = None
         self._revision = 0
         self._changed_by: dict[Node, int] = {}  # the last event that changed its status
         self._feasibility: int | None = None  # the last event that changed an action's feasibility
-        self._is_closed = False
-        self.log = Log(memory, self._lock, self._complete)
+        self.log = Log(self._lock, self._complete)
         self._now = self._read_clock()
         self._publisher = Publisher(self.log, self._lock)
-        self._words_wanted = False
         self._reading = Reading(self._lock, self._settled)
         self.forecast = Forecaster(self)
-        self.history = HistoryView(self._records, self.reading)
         self.actions = views.Views(self, network.actions, views.ActionView)
         self.functions = views.Views(self, network.functions, views.FunctionView)
         self.components = views.Views(self, network.components, views.ComponentView)
         self.designs = views.Views(self, network.designs, views.DesignView)
         self.configurations = views.Views(self, network.configurations, views.ConfigurationView)
         self.attributes = views.Views(self, network.attributes, views.AttributeView)
-        client = StoreClient(
-            self.log,
-            self._snapshot,
-            self._restore_log,
-            self._abandon_what_was_under_way,
-            self._record_store_message,
-        )
         if self.store is not None and not self.store.is_new:
-            self.store.restore(client, self._now)
+            self._restore(self.store)
         elif model.facts:
             self._begin(model.facts, self._now)
+        self.history = HistoryView(self._records, self.reading)
         self._ontology = Ontology(self)
         self._observer = _ModelObserver(
             self._catch_up_with_time, self._record_amendment, self._publish
         )
         model.watch(self._observer)
-        LOCKS_HELD_OVER_FORKS[self._lock] = -1.0
         if self.store is not None:
-            self.store.start(client, self._lock)
+            self.store.start(self.log, self._lock, self._snapshot, self._record_store_message)
             finalize(self, self.store.close)
             self._catch_up_with_time()  # with the events that came due meanwhile
 
@@ -265,38 +245,39 @@ class KnowledgeBase:
 
     def is_feasible(self, action: str) -> bool:
         """Tell whether an action can be done now: its status is not "unfeasible"."""
-        if self.model.pending is None and self._event is None and self._alarms.next == NEVER:
+        state = self._state
+        if self.model.pending is None and self._event is None and state.next_due == NEVER:
             node = self._network.actions.get(action)
-            status = None if node is None else self._state.status.get(node)
+            status = None if node is None else state.status.get(node)
             if status is not None:  # a single read needs no lock
                 return status is not Status.UNFEASIBLE
-        return questions.is_feasible(self, action)
+        return situations.is_feasible(self, action)
 
-    selectable_actions = questions.selectable_actions
-    selectable_designs = questions.selectable_designs
-    selectable_configurations = questions.selectable_configurations
-    best_configuration = questions.best_configuration
-    adaptable_functions = questions.adaptable_functions
-    adaptable_components = questions.adaptable_components
-    obsolete = questions.obsolete
-    explain = questions.explain
-    why = questions.why
-    explain_choice = questions.explain_choice
-    situation = questions.suppose
+    selectable_actions = situations.selectable_actions
+    selectable_designs = situations.selectable_designs
+    selectable_configurations = situations.selectable_configurations
+    best_configuration = situations.best_configuration
+    adaptable_functions = situations.adaptable_functions
+    adaptable_components = situations.adaptable_components
+    obsolete = situations.obsolete
+    explain = situations.explain
+    why = situations.why
+    explain_choice = situations.explain_choice
+    situation = situations.situation
     feasible_until = feasible_until
 
     def reading(self) -> AbstractContextManager[State]:
         """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
         if self.model.pending is not None:
             self.model.settle()
-        may_be_due = self._alarms.next != NEVER and not self._publisher.is_held()
-        if may_be_due and self._alarms.next <= self._read_clock():
+        due = self._state.next_due if self._is_timed else NEVER
+        if due != NEVER and not self._publisher.is_held() and due <= self._read_clock():
             self._catch_up_with_time()
         return self._reading
 
     def __repr__(self) -> str:
         with self.reading() as state:
-            return f"<KnowledgeBase {self.model.name!r}: {outline(state)}>"
+            return f"<KnowledgeBase {self.model.name!r}: {situations.outline(state)}>"
 
     def _repr_html_(self) -> str:
         with self.reading() as state:
@@ -310,11 +291,8 @@ class KnowledgeBase:
                 words = ", ".join(flag for flag, is_so in flags.items() if is_so)
                 shown = state.status.get(node, state.value.get(node))
                 rows.append((node.kind, node.name, shown, words))
-            return table(
-                f"{self.model.name}: {outline(state)}",
-                ("kind", "name", "status or value", "and"),
-                rows,
-            )
+            title = f"{self.model.name}: {situations.outline(state)}"
+            return table(title, ("kind", "name", "status or value", "and"), rows)
 
     @property
     def now(self) -> float:
@@ -337,13 +315,13 @@ class KnowledgeBase:
     def plans(self) -> tuple[ReconfigurationPlan, ...]:
         """All plans, in the order in which they were made."""
         with self.reading():
-            return self._records.plans.all()
+            return tuple(self._records.plans.values())
 
     @property
     def latest_plan(self) -> ReconfigurationPlan | None:
         """The plan that was made last."""
         with self.reading():
-            return next(self._records.plans.newest_first(), None)
+            return next(reversed(self._records.plans.values()), None)
 
     @property
     def pending_plan(self) -> ReconfigurationPlan | None:
@@ -351,14 +329,8 @@ class KnowledgeBase:
         with self.reading():
             return next(reversed(self._records.open_plans.values()), None)
 
-    @property
-    def processes(self) -> tuple[Process, ...]:
-        """All processes in which components ran or run, in the order of their starts."""
-        with self.reading():
-            return self._records.processes.all()
-
     def query(self, sparql: str, timeout: float = 10.0) -> list[tuple[Answer, ...]]:
-        """Answer a SPARQL query over the model, all facts that were told, and the statuses that follow from them.
+        """Answer a SPARQL query over the model, all facts that were recorded, and the statuses that follow from them.
 
         Args:
             sparql: a SELECT query; the prefixes `:` and `rosa:` stand for the vocabulary of ROSA.
@@ -385,35 +357,29 @@ class KnowledgeBase:
 
     # ---------------------------------------------------------------- told: what is so
 
+    @_update
     def measure(self, attribute: str, value: float) -> None:
         """Record a measurement.
 
         Raises:
             UnknownName: the model has no such attribute.
-            InvalidValue: the value is not a finite number or is outside the attribute's range; nothing is told.
+            InvalidValue: the value is not a finite number or is outside the attribute's range; nothing is recorded.
         """
         node = self._network.attributes[attribute]
         element: Any = node.element
         if not (type(value) is float and isfinite(value) and element.low <= value <= element.high):
-            value = questions.number(f"{attribute} cannot be measured as", value, node)
-        now = self._read_clock()
-        with self._lock:
-            self._check_open()
-            self._prepare(now)
-            with self._updating:
-                node = self._network.attributes[attribute]  # if it is still there
-                words = ""
-                if self._words_wanted or self.log.witnesses:
-                    around = self._network.thresholds(node).around(value)
-                    words = f"{attribute} is {reading_in_words(value, around, node)}"
-                last = self._record("measure", (node.name, value), words=words).number
-        self._publish(last)
+            value = situations.number(f"{attribute} cannot be measured as", value, node)
+        words = ""
+        if self._publisher.subscribers or self.log.witnesses:
+            thresholds = [constraint.element.value for constraint in node.constraints]
+            words = f"{attribute} is {reading_in_words(value, thresholds, node)}"
+        self._record("measure", (node.name, value), words=words)
 
     @_update
     def component_failed(self, component: str, reason: str = "") -> None:
         """Record that a component has failed; explanations and the store give the reason, in words."""
         text("the reason of a failure", reason)
-        node = self._component(component)
+        node = self._network.components[component]
         is_news = reason not in ("", self._state.reason("failed", node).text)
         if is_news or node not in self._state.failed:
             self._record("component_failed", (node.name, reason))
@@ -421,7 +387,7 @@ class KnowledgeBase:
     @_update
     def component_recovered(self, component: str) -> None:
         """Record that a component works again after a failure."""
-        node = self._component(component)
+        node = self._network.components[component]
         state = self._state
         if node in state.failed or state.asserted.get(node) is Status.FAILURE:
             self._record("component_recovered", (node.name,))
@@ -429,7 +395,7 @@ class KnowledgeBase:
     @_update
     def component_active(self, component: str, active: bool, reason: str = "") -> None:
         """Record whether a component is running; if it is not, explanations give the reason, in words."""
-        node = self._component(component)
+        node = self._network.components[component]
         text("the reason why a component is not active", reason)
         if (node in self._state.active) != flag("active", active, InvalidValue):
             self._record("component_active", (node.name, active, reason))
@@ -472,9 +438,10 @@ class KnowledgeBase:
         end = None if until is None or until == inf else finite_number(until)
         node = self._node(element, ELEMENTS)
         wanted = status_of(node.kind, status)
-        if end is not None and end <= (now := self._now):
+        if end is not None and end <= self._now:
             raise InvalidValue(
-                f"a status is asserted until later than now, {now!r} s by the clock; not {until!r}"
+                f"a status is asserted until later than now, {self._now!r} s by the clock; "
+                f"not {until!r}"
             )
         words = f"{node.name} is asserted {wanted}{Reason(reason, end)}"
         self._record("assert_status", (node.ref, str(wanted), reason, end), words=words)
@@ -524,7 +491,7 @@ class KnowledgeBase:
                 instant, else the latest event that made an action feasible or unfeasible.
         """
         node = self._network.actions[action]
-        wanted = questions.preferred(self._network, preference)
+        wanted = situations.preferred(self._network, preference)
         if node.name in self._records.required:
             return Reply(True, f"{node.name} is required already")
         if self._state.status[node] is Status.UNFEASIBLE:
@@ -582,41 +549,36 @@ class KnowledgeBase:
         Raises:
             InvalidValue: a design or configuration is unfeasible now; nothing is selected.
         """
-        if reason != "":
-            text("the reason of a choice", reason)
-        network, state, now = self._network, self._state, self._now
-        chosen = _chosen(network.designs, network.functions, designs)
-        configured = _chosen(network.configurations, network.components, configurations)
-        nodes = [*chosen, *configured]
+        text("the reason of a choice", reason)
+        state = self._state
+        designs_chosen = _chosen(self._network.designs, self._network.functions, designs)
+        configured = _chosen(self._network.configurations, self._network.components, configurations)
+        nodes = [*designs_chosen, *configured]
         for node in nodes:
             if state.status[node] is Status.UNFEASIBLE:
-                raise Unselectable(f"{node} cannot be selected: {why(state, node, now)}")
-        words = why_selected(state, nodes, now, reason, self._records.end_reasons)
+                raise Unselectable(f"{node} cannot be selected: {why(state, node, self._now)}")
+        words = why_selected(state, nodes, self._now, reason, self._records.end_reasons.values())
         selection = decide(state, nodes)
         if dry_run:
-            return selection.plan(state, words, now) if selection else None
+            return selection.plan(state, words, self._now) if selection else None
         if cause is None:
             cause = self._cause_of_choice(nodes)
         plan = None
         if selection:
-            number = self._records.plans.last + 1
-            plan = selection.plan(state, words, now, cause, number)
+            number = next(reversed(self._records.plans), 0) + 1
+            plan = selection.plan(state, words, self._now, cause, number)
         effects = tuple(
             (node.kind, node.name, node not in state.selected) for node in selection.flips
         )
-        if plan is None and not effects and not self._is_reason_new(nodes, reason):
-            return None
-        arguments = (by_owner(chosen), by_owner(configured), reason)
-        self._record("select", arguments, cause, effects=effects, plan=plan)
-        return plan
-
-    def _is_reason_new(self, nodes: Iterable[Node], reason: str) -> bool:
-        state = self._state
-        return any(
+        is_reason_new = any(
             state.reason("selected", node).text != reason
             or state.reason("unselected", node.used_by[0]).text
             for node in nodes
         )
+        if plan or effects or is_reason_new:
+            choice = by_owner(designs_chosen), by_owner(configured)
+            self._record("select", (*choice, reason), cause, effects=effects, plan=plan)
+        return plan
 
     @_update
     def finish_plan(self, plan: ReconfigurationPlan | int, result: str) -> bool:
@@ -624,42 +586,30 @@ class KnowledgeBase:
 
         When a plan completes, all other open plans are abandoned.
         """
-        if result not in RESULTS:
-            check_result(result)
+        check_result(result)
         record = self._records.plan_of(plan)
         if record.end is not None:
             return False
         self._record("finish_plan", (record.number, result), record.cause)
         return True
 
-    @_update
-    def note_no_choice(self, reason: str) -> None:
-        """Give explanations the reason why nothing can be selected for what is required; empty if something can."""
-        text("the reason why nothing can be selected", reason)
-        self._record("note_no_choice", (reason,))
-
     # ---------------------------------------------------------------- told: records
-
-    @_update
-    def component_configured(self, component: str, parameters: Parameters) -> None:
-        """Record which parameters were set on a component; see `parameters_in_force` of its view."""
-        name = self._component(component).name
-        self._record("component_configured", (name, checked_parameters(name, parameters)))
 
     @_update
     def component_started(self, component: str, pid: int) -> Process:
         """Record that a process of the operating system was started for a component; it need not be active yet."""
-        name = self._component(component).name
+        name = self._network.components[component].name
         self._record("component_started", (name, whole("a process number", pid, 0)))
-        return next(self._records.processes.newest_first())
+        return next(reversed(self._records.processes.values()))
 
     @_update
     def component_ended(self, component: str, pid: int | None = None) -> None:
         """Record that a process of a component has ended: the one with this number, or all of them without one."""
-        number = None if pid is None else whole("a process number", pid, 0)
-        name = self._component(component).name
-        if self._records.running(name, number):
-            self._record("component_ended", (name, number))
+        if pid is not None:
+            whole("a process number", pid, 0)
+        name = self._network.components[component].name
+        if self._records.running(name, pid):
+            self._record("component_ended", (name, pid))
 
     @_update
     def record_attempt(
@@ -685,14 +635,14 @@ class KnowledgeBase:
             raise InvalidValue(
                 f"{operation!r} is no operation; an operation is one of {', '.join(_OPERATIONS)}"
             )
-        name = self._component(component).name
+        name = self._network.components[component].name
         if configuration is not None:
             configuration = self._network.configurations[configuration].name
         values = checked_parameters(name, parameters or {})
         whole("the number of an attempt", number)
         of = self._records.plan_of(plan).number
         self._record("record_attempt", (of, name, operation, configuration, values, number))
-        return next(self._records.attempts.newest_first())
+        return next(reversed(self._records.attempts.values()))
 
     @_update
     def finish_attempt(self, attempt: Attempt | int, result: str, reason: str = "") -> bool:
@@ -701,10 +651,8 @@ class KnowledgeBase:
         The attempt may be given by its serial number; the result is "completed", "failed" or "abandoned". When a
         "configure" command completes, its parameters are in force.
         """
-        if result not in RESULTS:
-            check_result(result)
-        if reason != "":
-            text("the reason why an attempt ends", reason)
+        check_result(result)
+        text("the reason why an attempt ends", reason)
         serial = attempt.serial if isinstance(attempt, Attempt) else attempt
         if type(serial) is not int:
             raise InvalidValue(
@@ -725,7 +673,7 @@ class KnowledgeBase:
         text("the reason of an answer", reason)
         number = self._records.plan_of(plan).number
         self._record("record_answer", (number, is_vetoed, reason))
-        return next(self._records.answers.newest_first())
+        return next(reversed(self._records.answers.values()))
 
     # ---------------------------------------------------------------- the log
 
@@ -739,30 +687,32 @@ class KnowledgeBase:
         Raises:
             InvalidValue: the event cannot be replayed; nothing has changed.
         """
-        verb = event.verb if isinstance(event, Event) else None
-        if verb in INTERNAL or (self._is_timed and verb in ("dwell", "lapse")):
+        verb = event.verb if isinstance(event, Event) else ""
+        if verb in ("begin", "store") or (self._is_timed and verb in ("dwell", "lapse")):
             self._catch_up_with_time()
             return
+        arguments = event.arguments if verb else ()
+        if verb in ("stale", "dwell", "lapse"):
+            arguments = verb, *arguments
+            verb = "replay_due"
         if verb not in _REPLAYABLE:
             verbs = ", ".join(sorted(_REPLAYABLE))
             raise InvalidValue(
                 f"{event!r} cannot be replayed; an event that can has one of the verbs {verbs}"
             )
-        method = getattr(self, _REPLAYABLE[verb])
-        keywords = {}
-        if verb in ("request_action", "cancel_action", "select"):
-            keywords = {"cause": event.cause}
+        is_caused = verb in ("request_action", "cancel_action", "select")
+        keywords = {"cause": event.cause} if is_caused else {}
         try:
-            method(*event.arguments, **keywords)
+            _REPLAYABLE[verb](self, *arguments, **keywords)
         except (AttributeError, LookupError, TypeError) as error:
             if isinstance(error, KnowledgeBaseError):
                 raise
-            raise InvalidValue(
-                f"{verb} cannot be replayed with {event.arguments!r}: {error}"
-            ) from None
+            raise InvalidValue(f"{verb} cannot be replayed with {arguments!r}: {error}") from None
 
     def _amend(self, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
         amend(self.model, self._serials, how, written)
+
+    _REPLAYABLE["amend"] = _amend
 
     @_update
     def _progress(self, action: str, behaviour: str, saved: str) -> None:
@@ -771,42 +721,26 @@ class KnowledgeBase:
             self._record("progress", (action, behaviour, saved))
 
     @_update
-    def _stale(self, name: str) -> None:
-        node = self._network.attributes[name]
-        if node in self._state.value and node not in self._state.stale:
-            self._record_stale(node, self._now)
-
-    @_update
-    def _dwell(self, ref: Ref) -> None:
-        self._record_dwell(self._network.referred(ref), self._now)
-
-    @_update
-    def _lapse(self, ref: Ref, status: str) -> None:
-        self._record_lapse(self._network.referred(ref), self._now)
+    def _replay_due(self, verb: str, element: Any, *_: object) -> None:  # noqa: ANN401  # a name or reference
+        is_stale = verb == "stale"
+        node = self._network.attributes[element] if is_stale else self._network.referred(element)
+        if not is_stale or (node in self._state.value and node not in self._state.stale):
+            self._record_due(self._now, verb, node)
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
         """Call a function with every event from now on, in order; returns a function that ends the subscription.
 
-        The callback runs on a thread that tells facts, without the lock, so it may ask and tell. An exception in it
-        is logged and goes no further.
+        The callback runs on a thread that records facts, without the lock, so it may ask and record. An exception
+        in it is logged and goes no further.
         """
-        stop = self._publisher.subscribe(callback)
-        self._words_wanted = True
-        return stop
-
-    @property
-    def saved(self) -> int:
-        """The number of the last event that is on disk; 0 without a store."""
-        return self.store.saved if self.store else 0
+        return self._publisher.subscribe(callback)
 
     def flush(self, timeout: float | None = None) -> bool:
         """Wait, at most for a timeout [s], until all events so far are on disk; returns whether they are."""
         return self.store is not None and self.store.flush(timeout)
 
     def close(self) -> None:
-        """Save all events and close the store; you can still ask what is held in memory, but tell nothing more."""
-        with self._lock:
-            self._is_closed = self.store is not None
+        """Save all events and close the store; you can still ask what is held in memory, but record nothing more."""
         if self.store is not None:
             self.store.close()
 
@@ -828,14 +762,12 @@ class KnowledgeBase:
         plan: ReconfigurationPlan | None = None,
         words: str = "",
         time: float | None = None,
-    ) -> Event:
+    ) -> None:
         """Record an event, which has been decided, and apply it."""
-        self._complete_event()
         at = self._now if time is None else time
-        event = Event(self.log.last + 1, at, verb, arguments, (), cause, effects, plan, words)
-        self._event = event  # from here on it is in
-        self._complete_event()
-        return event
+        number = self.log.last + 1
+        self._event = Event(number, at, verb, arguments, (), cause, effects, plan, words)
+        self._complete_event()  # from here on it is in
 
     def _complete_event(self) -> None:
         """Apply the event that is recorded and not applied completely, if there is one."""
@@ -845,40 +777,39 @@ class KnowledgeBase:
         state = self._state
         if event.verb == "amend":
             self._renew()
-        else:
+        elif event.verb not in RECORDS:
             state.apply(event)
         if event.verb != "measure":
             self._records.apply(event)
-        if event.verb == "finish_attempt":
-            self._note_configured(*event.arguments)
-        self._set_alarms(event)
-        changes = state.changes()
-        if changes:
-            event = event._replace(changes=changes)
-            self._note_changes(event)
+        if event.verb == "finish_attempt" and event.arguments[1] == "completed":
+            attempt = self._records.attempts[event.arguments[0]]
+            if attempt.operation == "configure":
+                state.parameters[attempt.component] = attempt.parameters
+        if state.before:
+            event = self._with_changes(event)
         if _matters(event):
             self._revision = event.number
         is_new = self.log.last < event.number
         self.log.append(event)
-        state.forget_changes()
+        state.before = {}
         self._event = None
         for witness in self.log.witnesses if is_new else ():
             witness(event)
 
-    def _note_configured(self, serial: int, result: str, reason: str) -> None:
-        attempt = self._records.attempts.get(serial)
-        if attempt is not None and attempt.operation == "configure" and result == "completed":
-            self._state.parameters[attempt.component] = attempt.parameters
-
-    def _note_changes(self, event: Event) -> None:
-        """Note the event as the cause of the statuses that it has changed."""
+    def _with_changes(self, event: Event) -> Event:
+        """Return the event with the statuses that it has changed, and note it as their cause."""
+        state = self._state
         is_switched = event.verb == "component_active" and not event.arguments[2]
-        if not (is_switched and self._records.open_plans):  # a plan has switched it
-            for node in self._state.changed_nodes():
+        is_cause = not (is_switched and self._records.open_plans)  # else a plan has switched it
+        changes = []
+        for node in state.changed():
+            change = StatusChange(node.kind, node.name, state.before[node], state.status[node])
+            changes.append(change)
+            if is_cause:
                 self._changed_by[node] = event.number
-        for change in event.changes:
-            if change.kind == "action" and Status.UNFEASIBLE in (change.old, change.new):
+            if node.kind == "action" and Status.UNFEASIBLE in change[2:]:
                 self._feasibility = event.number
+        return event._replace(changes=tuple(changes))
 
     # ---------------------------------------------------------------- time
 
@@ -911,70 +842,27 @@ class KnowledgeBase:
         """Complete what was interrupted, and record what time has caused until now [s]."""
         if self._updating.locked():
             raise KnowledgeBaseError(_REENTRANT)
-        self._now = max(now, self.log.time)
-        if self._event is not None or self._now >= self._alarms.next:
+        self._settled()
+        self._now = now = max(now, self.log.time)
+        if self._is_timed and now >= self._state.next_due:
             with self._updating:
-                self._complete_event()
-                self._now = max(now, self.log.time)
-                self._record_due(self._now)
+                while (due := self._state.due(now)) is not None:
+                    self._record_due(*due)
 
-    def _record_due(self, now: float) -> None:
-        """Record what time causes until now, each at the instant at which it is due."""
-        while (due := self._alarms.due(now)) is not None:
-            time, what, node = due
-            time = max(time, self.log.time)  # a changed model may make it due in the past
-            if what == "stale":
-                self._record_stale(node, time)
-            elif what == "dwell":
-                self._record_dwell(node, time)
-            else:
-                self._record_lapse(node, time)
-
-    def _record_stale(self, node: Node, time: float) -> None:
-        words = f"{node.name} {staleness(self._state.time.get(node), node, time)}"
-        self._record("stale", (node.name,), words=words, time=time)
-
-    def _record_dwell(self, node: Node, time: float) -> None:
+    def _record_due(self, time: float, what: str, node: Node) -> None:
+        """Record what time causes, at the instant at which it is due."""
+        time = max(time, self.log.time)  # a changed model may make it due in the past
         state = self._state
-        before = state.verdict(node)
-        after = state.judged(node, time)[0].status
-        if after is before:
-            self._alarms.set("dwell", node, state.judge(node, time))
-            return
-        words = f"{node.name} is {after}, after its dwell"
-        self._record("dwell", (node.ref,), words=words, time=time)
-
-    def _record_lapse(self, node: Node, time: float) -> None:
-        status = self._state.asserted.get(node)
-        words = f"{node.name} is no longer asserted {status}: its time is over"
-        self._record("lapse", (node.ref, str(status)), words=words, time=time)
-
-    def _set_alarms(self, event: Event) -> None:
-        """Set the alarms of what time will cause after an event; it can be repeated."""
-        verb = event.verb
-        if verb in ("measure", "stale"):
-            self._set_alarms_of_attribute(self._network.attributes[event.arguments[0]], event.time)
-        elif verb == "dwell":
-            node = self._network.referred(event.arguments[0])
-            self._alarms.set("dwell", node, self._state.judge(node, event.time))
-        elif verb in ("assert_status", "retract_status", "lapse"):
-            self._set_lapse(self._network.referred(event.arguments[0]))
-        elif verb == "component_recovered":
-            self._set_lapse(self._network.components[event.arguments[0]])
-
-    def _set_alarms_of_attribute(self, node: Node, now: float) -> None:
-        state = self._state
-        if node.element.max_age != inf:
-            measured = state.time.get(node)
-            is_timed = measured is not None and node not in state.stale
-            due = nextafter(measured + node.element.max_age, inf) if is_timed else NEVER
-            self._alarms.set("stale", node, due)
-        for constraint in self._network.thresholds(node).debounced:
-            self._alarms.set("dwell", constraint, state.judge(constraint, now))
-
-    def _set_lapse(self, node: Node) -> None:
-        until = self._state.reason("asserted", node).until
-        self._alarms.set("lapse", node, NEVER if until is None else until)
+        if what == "stale":
+            words = f"{node.name} {staleness(state.time.get(node), node, time)}"
+            self._record(what, (node.name,), words=words, time=time)
+        elif what == "dwell":
+            words = f"{node.name} is {state.judged(node, time)[0].status}, after its dwell"
+            self._record(what, (node.ref,), words=words, time=time)
+        else:
+            status = str(state.asserted.get(node))
+            words = f"{node.name} is no longer asserted {status}: its time is over"
+            self._record(what, (node.ref, status), words=words, time=time)
 
     def _catch_up_with_time(self) -> None:
         """Record what time has caused until now, unless this thread is just recording a fact."""
@@ -1002,83 +890,70 @@ class KnowledgeBase:
 
     def _publish(self, last: int = 0) -> None:
         """Call the subscribers, and wait if the store is too far behind."""
-        if self._publisher.is_heard:
-            self._publisher.deliver(last)
-        if self.store is not None and last and not self._publisher.is_held():
-            self.store.wait_for_room(last)
+        if self._publisher.subscribers:
+            self._publisher.deliver()
+        if self.store is not None:
+            self.store.proceed(0 if self._publisher.is_held() else last)
 
     # ---------------------------------------------------------------- the model
 
     def _begin(self, stated: Sequence[facts.Fact], now: float) -> None:
         """Begin with what the model states."""
+        state = self._state
         measured = [fact for fact in stated if isinstance(fact, facts.MeasurementFact)]
         measured.sort(key=lambda fact: (fact.latest, now if fact.time is None else fact.time))
         for number, measurement in enumerate(measured, start=-len(measured)):
+            node = self._network.attributes[measurement.attribute]
             time = now if measurement.time is None else measurement.time
-            self._begin_with_measurement(measurement, time, number)
+            enter = state.set_measurement if measurement.latest else state.remember
+            enter(node, measurement.value, time, number)
         for number, fact in enumerate(stated, start=1):
-            self._begin_with(fact, number, now)
-        self._state.infer()
-        self._state.forget_changes()
+            for verb, arguments in self._events_of(fact, number, now):
+                state.apply(Event(0, now, verb, arguments))
+        state.infer()
+        state.before = {}
         self.log.append(Event(1, now, "begin", ()))
         self._revision = 1
 
-    def _begin_with_measurement(
-        self, fact: facts.MeasurementFact, time: float, number: int
-    ) -> None:
-        node = self._network.attributes[fact.attribute]
-        if fact.latest:
-            self._state.set_measurement(node, fact.value, time, number)
-            self._set_alarms_of_attribute(node, time)
-        else:
-            self._state.remember(node, fact.value, time, number)
-
-    def _begin_with(self, fact: facts.Fact, number: int, now: float) -> None:
-        if isinstance(fact, facts.MeasurementFact):
-            return
-        event = Event(0, now, "", ())
-        arguments: tuple[Any, ...]
-        if isinstance(fact, facts.StatusFact):
-            arguments = (self._network.find(fact.element).ref, str(fact.status), "", None)
-            event = Event(0, now, "assert_status", arguments)
-        elif isinstance(fact, facts.RequiredFact):
-            arguments = (self._network.find(fact.element).ref, True)
-            event = Event(0, now, "assert_required", arguments)
-        elif isinstance(fact, facts.SelectedFact):
-            arguments = (self._network.find(fact.element).ref, True, "")
-            event = Event(0, now, "assert_selected", arguments)
-        elif isinstance(fact, facts.ActiveFact):
-            event = Event(0, now, "component_active", (fact.component, True, ""))
-        else:
-            self._records.begin(fact, -number, now)
-            if isinstance(fact, facts.RequiredActionFact) and fact.action in self._records.required:
-                event = Event(0, now, "request_action", (fact.action, None))
-        self._state.apply(event)
+    def _events_of(
+        self, fact: facts.Fact, number: int, now: float
+    ) -> list[tuple[str, tuple[Any, ...]]]:
+        """Return what a fact of the model says as verbs with arguments; records are added."""
+        match fact:
+            case facts.StatusFact(element, status):
+                return [("assert_status", (self._network.find(element).ref, status, "", None))]
+            case facts.RequiredFact(element):
+                return [("assert_required", (self._network.find(element).ref, True))]
+            case facts.SelectedFact(element):
+                return [("assert_selected", (self._network.find(element).ref, True, ""))]
+            case facts.ActiveFact(component):
+                return [("component_active", (component, True, ""))]
+            case facts.MeasurementFact():
+                return []
+        self._records.begin(fact, -number, now)
+        return [("request_action", (name, None)) for name in self._records.required]
 
     def _record_amendment(self, change: facts.Amended) -> None:
         """Record a change of the model, unless it is recorded already."""
         with self._lock:
             if self._updating.locked():
                 raise KnowledgeBaseError(_REENTRANT)
+            self._settled()
             with self._updating:
-                self._complete_event()
-                if self._amendment is None or change is not self._amendment[0]:
+                if change is not self._amendment:
                     change.put()  # no fact is recorded meanwhile: each is of one model
                     self._follow(change)
 
     def _follow(self, change: facts.Amended) -> None:
-        is_removal = change.how == "removed"
-        for element in change.elements if is_removal else ():
+        for element in change.elements if change.how == "removed" else ():
             if isinstance(element, Action) and element.name in self._records.required:
                 reason = "it is no longer in the model"
                 self._record("cancel_action", (element.name, "abandoned", reason))
-        removed = []
-        if is_removal:
-            removed = [node for node in self._network.present() if node.element in change.elements]
-        self._amendment = change, removed
-        named = [one for one in change.elements if not isinstance(one, Estimation)]
+        self._amendment = change
+        named = [element for element in change.elements if not isinstance(element, Estimation)]
         names = [
-            one.name if isinstance(one, Element) else str(one) for one in named or change.elements
+            element.name if isinstance(element, Element) else str(element)
+            for element in named or change.elements
         ]
         written = tuple(amendment(change.how, change.elements, self._serials))
         words = f"{', '.join(names)} {change.how} in the model"
@@ -1087,22 +962,17 @@ class KnowledgeBase:
     def _renew(self) -> None:
         """Follow the model as it is now; it can be repeated."""
         assert self._amendment is not None  # an amendment is noted before it is recorded
-        change, removed = self._amendment
         self._network.renew()
-        for node in removed:
-            for what in ("stale", "dwell", "lapse"):
-                self._alarms.set(what, node, NEVER)
+        for node in set(self._changed_by).difference(self._network.present()):
+            del self._changed_by[node]
         changed = []
-        if change.how != "removed":
+        if self._amendment.how != "removed":
             changed = [
                 self._network.find(element)
-                for element in change.elements
+                for element in self._amendment.elements
                 if isinstance(element, Attribute | Constraint)
             ]
-        self._state.renew(removed, changed, self._now)
-        for node in changed:
-            attribute = node if node.kind == "attribute" else node.requires[0]
-            self._set_alarms_of_attribute(attribute, self._now)
+        self._state.renew(changed, self._now)
 
     # ---------------------------------------------------------------- causes
 
@@ -1111,10 +981,11 @@ class KnowledgeBase:
         if not chosen:
             ended = self._records.last_end
             return None if ended is None else ended[1]
-        owners = [owner for node in chosen for owner in node.used_by]
-        about = [one for owner in owners for one in (owner, *owner.requires)]
-        numbers = [self._changed_by[node] for node in about if node in self._changed_by]
-        return max(numbers, default=None)
+        owners = {node.used_by[0] for node in chosen}
+        numbers = [
+            self._changed_by.get(node, 0) for owner in owners for node in (owner, *owner.requires)
+        ]
+        return max(numbers) or None
 
     def _cause_of_request(self) -> int | None:
         """Return the event that just ended another request, else the last about a feasibility."""
@@ -1123,38 +994,19 @@ class KnowledgeBase:
             return ended[1]
         return self._feasibility
 
-    # ---------------------------------------------------------------- snapshots
+    # ---------------------------------------------------------------- the store
 
-    def _snapshot(self, keep: int) -> dict[str, Any]:
-        """Return all that is known as values that JSON can hold; for the store."""
-        present = set(self._network.present())
-        return {
-            "state": self._state.to_json(keep),
-            "records": self._records.to_json(),
-            "changed_by": [
-                [node.ref, number] for node, number in self._changed_by.items() if node in present
-            ],
-            "feasibility": self._feasibility,
-            "revision": self._revision,
-        }
+    def _snapshot(self) -> tuple[object, ...]:
+        """Return all that is known."""
+        causes = self._changed_by, self._feasibility
+        return self._state, self._records, *causes, self._revision
 
-    def _restore_log(
-        self,
-        snapshot: Mapping[str, Any] | None,
-        events: Iterable[Event],
-        last: int,
-        serials: Serials,
-    ) -> None:
-        """Begin with what a store holds: a snapshot, and the events after it; for the store."""
-        self._serials = serials
+    def _restore(self, store: Store) -> None:
+        """Begin with what a store holds: a snapshot, and the events after it."""
+        snapshot, events = store.restored(self._network)
         if snapshot is not None:
-            self._state.from_json(snapshot["state"])
-            self._records.from_json(snapshot["records"])
-            for ref, number in snapshot["changed_by"]:
-                self._changed_by[self._network.referred(tuple(ref))] = number
-            self._feasibility = snapshot["feasibility"]
-            self._revision = snapshot["revision"]
-            self._state.forget_changes()
+            self._state, self._records, self._changed_by = snapshot[:3]
+            self._feasibility, self._revision = snapshot[3:]
         for event in events:
             self.log.resume(event.number - 1)
             if event.verb == "begin":
@@ -1162,65 +1014,43 @@ class KnowledgeBase:
                 continue
             self._event = event
             self._complete_event()
-        self.log.resume(last)
-        for node in self._network.attributes.values():
-            self._set_alarms_of_attribute(node, self._state.time.get(node, self._now))
-        for node in self._network.present():
-            if node.kind != "attribute":
-                self._set_lapse(node)
-
-    def _abandon_what_was_under_way(self, now: float) -> tuple[str, ...]:
-        """End open plans and attempts of an earlier program; return the actions that it left."""
-        self._now = now
-        for number in list(self._records.open_plans):
+        self.log.resume(store.saved)
+        for number in list(self._records.open_plans):  # an earlier program left them
             self._record("finish_plan", (number, "abandoned"))
-        for attempt in self._records.attempts.all():
+        for attempt in list(self._records.attempts.values()):
             if attempt.end is None:
                 arguments = (attempt.serial, "abandoned", "its result is not known")
                 self._record("finish_attempt", arguments)
         self.log.time = -inf  # the clock may have started again at 0
-        return tuple(self._records.required)
+        store.left = tuple(self._records.required)
 
     def _record_store_message(self, words: str) -> None:
-        """Record how the store is; for the store."""
+        """Record how the store is."""
         with self._lock, self._updating:
             self._record("store", (words,))
         self._publish()
-
-    # ---------------------------------------------------------------- helpers
-
-    def _check_open(self) -> None:
-        if self.store is None:
-            return
-        self.store.check_owner()
-        if self._is_closed:
-            raise KnowledgeBaseError(
-                "this knowledge base is closed: its store is given back, so nothing more can be told. Tell before you "
-                "close it, or make a new one of the same model and store"
-            )
-
-    def _component(self, name: str) -> Node:
-        return self._network.components[name]
 
     def _node(self, element: ElementLike, kinds: Iterable[str]) -> Node:
         return resolve(self, self._state, element, kinds, unique=True)
 
 
 def _chosen(
-    parts: Mapping[str, Node], wholes: Mapping[str, Node], given: Mapping[str, str] | None
+    parts: Mapping[str, Node], owners: Mapping[str, Node], choice: Mapping[str, str] | None
 ) -> list[Node]:
     """Return the chosen nodes from a mapping of owner to choice, by name; each choice must be a part of its owner."""
-    if given is not None and not isinstance(given, Mapping):
+    if choice is not None and not isinstance(choice, Mapping):
         raise InvalidValue(
-            f"what is selected is given as choice by name of what it is for, not as {given!r}"
+            f"what is selected is given as choice by name of what it is for, not as {choice!r}"
         )
-    chosen = [(parts[name], wholes[whole]) for whole, name in (given or {}).items()]
-    for node, owner in chosen:
+    nodes = []
+    for owner_name, name in (choice or {}).items():
+        node, owner = parts[name], owners[owner_name]
         if node.used_by[0] is not owner:
             raise InvalidValue(
                 f"{node.kind} {node.name!r} is of {node.used_by[0].name!r}, not of {owner.name!r}"
             )
-    return [node for node, _ in chosen]
+        nodes.append(node)
+    return nodes
 
 
 def _matters(event: Event) -> bool:
@@ -1232,4 +1062,4 @@ def _matters(event: Event) -> bool:
         return event.plan is None and bool(event.effects)
     if verb == "finish_plan":
         return bool(event.arguments[1] != "failed")
-    return verb not in RECORDS and verb != "note_no_choice"
+    return verb not in RECORDS

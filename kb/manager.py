@@ -112,8 +112,7 @@ class ConfigurationManager:
             the manager monitors with it which components run; if it has `observe`, it is a monitor
             too.
         planner: decides what to select; a `PriorityPlanner` by default.
-        executor: carries out plans; by default a `StagedExecutor` on `managed`, within the
-            planner's budgets if any.
+        executor: carries out plans; by default a `StagedExecutor` on `managed`.
         monitors: called first at each update.
         veto: called with each plan, whoever made it, before it is executed. It returns None or
             True to allow the plan, False or a reason in words to forbid it; an exception forbids
@@ -140,8 +139,7 @@ class ConfigurationManager:
         self._planner = PriorityPlanner() if planner is None else planner
         check_methods("a planner", self._planner, Planner, ("choose(kb)",))
         check_methods("a managed system", managed, ManagedSystem, ("is_active(component)",))
-        budgets = getattr(self._planner, "budgets", None)
-        self._executor = StagedExecutor(managed, budgets=budgets) if executor is None else executor
+        self._executor = StagedExecutor(managed) if executor is None else executor
         check_methods("an executor", self._executor, Executor)
         self._monitors = list(monitors)
         as_monitor: Any = managed

@@ -8,7 +8,8 @@
     see.design("by camera", [camera], priority=1)
     model.action("explore", requires=[see], constraints=[light >= 0.05])
 
-A name is unique within its kind, not across kinds. Elements refer to one another by name. A model can be changed while
+A name is unique within its kind, not across kinds. Elements refer to one another by name. A model
+can be changed while
 knowledge bases use it: the next question to them sees the change.
 """
 
@@ -18,7 +19,7 @@ from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from threading import RLock
-from types import MappingProxyType, UnionType
+from types import MappingProxyType
 from typing import Any, Final, Protocol, Self, TypedDict, TypeVar, Unpack, get_args
 from weakref import ref
 
@@ -43,7 +44,6 @@ from kb.elements import (
     Estimation,
     EstimationKind,
     Expression,
-    ForecastFunction,
     Function,
     FunctionDesign,
     Rate,
@@ -61,15 +61,22 @@ from kb.elements import (
 )
 from kb.elements import table as html_table
 from kb.exceptions import DuplicateName, ModelError, UnknownName
-from kb.facts import Amended, Contents, Fact, RequiredFact, SelectedFact, StatusFact
+from kb.facts import (
+    Amended,
+    Contents,
+    Fact,
+    MeasurementFact,
+    PlanFact,
+    RequiredFact,
+    SelectedFact,
+    StatusFact,
+)
 from kb.files import SUFFIXES, ModelFileError, write_text
 from kb.records import check_result
 
 ElementT = TypeVar("ElementT", bound=Element)
 
 _NAMED: Final = (Action, Function, Component, FunctionDesign, Configuration, Attribute)
-_REQUIRABLE: Final = (Action, Function, Component)
-_SELECTABLE: Final = (FunctionDesign, Configuration)
 
 
 class Measured(TypedDict, total=False):
@@ -81,7 +88,7 @@ class Measured(TypedDict, total=False):
     unit: str
     low: float
     high: float
-    forecasting: str | ForecastFunction
+    forecasting: str
     rates: Sequence[Rate]
 
 
@@ -89,26 +96,35 @@ class Observer(Protocol):
     """An object that is informed of every change of a model."""
 
     def prepare(self) -> None:
-        """Called before the model changes; if this raises an exception, the model does not change."""
+        """Called before the model changes.
+
+        If this raises an exception, the model does not change.
+        """
 
     def amended(self, change: Amended) -> None:
-        """Called to `put` the change, when no fact is told; called again with it if the call was interrupted."""
+        """Called to `put` the change, when no fact is told.
+
+        Called again with it if the call was interrupted.
+        """
 
     def heard(self) -> None:
         """Called after all observers have been informed."""
 
 
 class Model:
-    """The model of one robot: its actions, functions, designs, components, configurations and attributes.
+    """The model of one robot: its actions, functions, designs, components and attributes.
 
     Args:
         name: name of the model in messages and files.
 
-    The mappings of elements (`actions`, `functions`, ...) are by name, in order of declaration, and read-only.
+    The mappings of elements (`actions`, `functions`, ...) are by name, in order of declaration, and
+    read-only.
 
     Attributes:
-        tables: all elements, constraints and estimations by class; a class stands after those that it refers to.
-        notes: statements of a file that have no meaning in a model, and how they were read; `check` reports them.
+        tables: all elements, constraints and estimations by class; a class stands after those that
+            it refers to.
+        notes: statements of a file that have no meaning in a model, and how they were read; `check`
+            reports them.
         places: positions in files of the elements that were read from files, as file:line:column.
         pending: the change that is being made or was interrupted, or None; see `settle`.
     """
@@ -158,7 +174,10 @@ class Model:
         return self.declare(Attribute, name, kind=AttributeKind.QUALITY, **given)
 
     def environmental_attribute(self, name: str, **given: Unpack[Measured]) -> Attribute:
-        """Declare a measured property of the surroundings, e.g. the light; see `quality_attribute`."""
+        """Declare a measured property of the surroundings, e.g. the light.
+
+        See `quality_attribute`.
+        """
         return self.declare(Attribute, name, kind=AttributeKind.ENVIRONMENTAL, **given)
 
     def component(
@@ -172,7 +191,10 @@ class Model:
         executable: str = "",
         constraints: Iterable[Expression] = (),
     ) -> Component:
-        """Declare a part of the robot; one that the manager shall switch is of kind "process" or "lifecycle"."""
+        """Declare a part of the robot.
+
+        One that the manager shall switch is of kind "process" or "lifecycle".
+        """
         given = {
             "kind": kind,
             "always_improve": always_improve,
@@ -183,7 +205,10 @@ class Model:
         )
 
     def function(self, name: str, *, always_improve: bool = False) -> Function:
-        """Declare what the robot can do as a means; `always_improve`: look for a better design even while solved."""
+        """Declare what the robot can do as a means.
+
+        `always_improve`: look for a better design even while solved.
+        """
         return self.declare(Function, name, always_improve=always_improve)
 
     def action(
@@ -212,33 +237,33 @@ class Model:
         /,
         **given: object,
     ) -> ElementT:
-        """Declare an element of a class with its constraints, or nothing if a field or a constraint is refused.
+        """Declare an element with its constraints, or nothing if anything is refused.
 
-        `given` holds the fields of the class; other elements in it are given by themselves or by their names.
+        `given` holds the fields of the class; other elements in it are given by themselves or by
+        their names.
         """
-        kind, table = KINDS[cls], self._tables[cls]
+        kind = KINDS[cls]
+        table = self._tables[cls]
         name = identifier(kind, name)
         checks = CHECKS[cls]
         for field, value in given.items():
-            check = checks.get(field)
-            given[field] = (
-                self._names(cls, name, field, value)
-                if check is None
-                else check.check(field, name, value)
-            )
+            if field in checks:
+                given[field] = checks[field].check(field, name, value)
+            else:
+                given[field] = self._referred(cls, name, field, value)
         try:
             element = cls(name, self, **given)
         except TypeError as error:
             raise ModelError(f"{kind} {name!r} is not complete: {error}") from None
-        wanted = self._expressions(constraints) if constraints != () else ()
-        if wanted:
-            self._of_kind("constrained", element, Constrainable)
+        expressions = self._expressions(constraints)
+        if expressions:
+            self._of_kind("constrained", element, get_args(Constrainable))
         if name in table:
             raise DuplicateName(
                 f"{kind} {name!r} is declared already; names are unique within a kind"
             )
-        if wanted or self._observers or self._batch is not None:
-            self._declare(element, *[_constraint((element,), one) for one in wanted])  # type: ignore[arg-type]  # constrainable, if any
+        if expressions or self._observers or self._batch is not None:
+            self._declare(element, *[_constraint((element,), each) for each in expressions])  # type: ignore[arg-type]  # constrainable, if any
         else:
             table[name] = element  # a single step, and there is no observer
         return element
@@ -252,15 +277,17 @@ class Model:
         self, elements: Iterable[Constrainable], constraints: Iterable[Expression]
     ) -> tuple[Constraint, ...]:
         """Add constraints that apply to all of the elements, or none if one of them is refused."""
-        targets = tuple(dict.fromkeys(listed("constrained elements", elements)))
-        for element in targets:
-            self._owned("constrained", element, Constrainable)
-        added = tuple(_constraint(targets, one) for one in self._expressions(constraints))
+        kinds = get_args(Constrainable)
+        targets = dict.fromkeys(
+            self._own("constrained", element, *kinds)
+            for element in listed("constrained elements", elements)
+        )
+        added = [_constraint(tuple(targets), each) for each in self._expressions(constraints)]
         if added and not targets:
             raise ModelError(f"{added[0]} constrains nothing; name at least one element")
         if added:
             self._declare(*added)
-        return added
+        return tuple(added)
 
     def add_estimation(
         self,
@@ -270,22 +297,41 @@ class Model:
         kind: EstimationKind | str = "positive",
     ) -> Estimation:
         """State how the choice of the causer affects an attribute; see `Component.estimate`."""
-        self._owned("the causer of an estimation", causer, Estimable)
-        affected = self._reference(Attribute, attribute)
-        estimation = Estimation(
-            affected, finite_number(value), choice("estimation kind", EstimationKind, kind), causer
-        )
+        self._own("the causer of an estimation", causer, *get_args(Estimable))
+        affected = self._own("attribute", attribute, Attribute).name
+        sense = choice("estimation kind", EstimationKind, kind)
+        estimation = Estimation(affected, finite_number(value), sense, causer)
         self._declare(estimation)
         return estimation
 
     def add_fact(self, fact: Fact) -> None:
-        """Add a fact that holds from the start; see `kb.facts`. Knowledge bases that exist already do not get it."""
+        """Add a fact that holds from the start; see `kb.facts`.
+
+        Knowledge bases that exist already do not get it.
+        """
         if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
-            self._owned("what a fact is about", fact.element, Changeable)
+            self._own("what a fact is about", fact.element, *_NAMED, Constraint, Estimation)
         self._facts.append(_checked_fact(self, fact))
 
+    def state(self, cls: type, values: Mapping[str, Any]) -> Changeable | None:
+        """Declare an element, constraint, estimation or fact of a class by its fields."""
+        others = dict(values)
+        if cls is Constraint:
+            return self.constrain(others.pop("constrained"), Expression(**others))
+        if cls is Estimation:
+            return self.add_estimation(**others)
+        if issubclass(cls, Element):
+            declared: Element = self.declare(cls, others.pop("name", ""), **others)
+            return declared
+        fact: Any = cls(**others)
+        self.add_fact(fact)
+        return None
+
     def watch(self, observer: Observer) -> None:
-        """Inform an observer of every change from now on; the model holds only a weak reference to it."""
+        """Inform an observer of every change from now on.
+
+        The model holds only a weak reference to it.
+        """
         self._observers.append(ref(observer, self._observers.remove))
 
     @classmethod
@@ -294,10 +340,12 @@ class Model:
 
         Args:
             paths: files in ROSA's TypeQL (`.tql`) or in OWL (`.owl`); all in the same format.
-            name: name of the model; by default the one in the files, else the name of the first file.
+            name: name of the model; by default the one in the files, else the name of the first
+                file.
 
         Raises:
-            ModelError: the message gives the file, line and column, what was found there and what was expected.
+            ModelError: the message gives the file, line and column, what was found there and what
+                was expected.
         """
         files = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
         if not files:
@@ -329,7 +377,10 @@ class Model:
         write_text(file, owl_text(self))
 
     def plain(self) -> list[Any]:
-        """Return all that the model says as values that JSON can hold; `from_plain` reads it back."""
+        """Return all that the model says as values that JSON can hold.
+
+        `from_plain` reads it back.
+        """
         positions = Serials.of(self)
         elements = (each for table in self.tables.values() for each in table.values())
         rows = [_row(each, positions) for each in (*elements, *self.facts)]
@@ -352,59 +403,65 @@ class Model:
         return type(self).from_plain, (self.plain(),)
 
     def check(self, names: Iterable[str] | None = None) -> tuple[Finding, ...]:
-        """Find what can never work, what contradicts itself and what is likely a mistake, with advice for each.
+        """Find what can never work and what is likely a mistake, with advice for each.
 
         Args:
-            names: the names of actions in a mission's tree or PDDL domain; names that do not match are found too.
+            names: the names of actions in a mission's tree or PDDL domain; names that do not match
+                are found too.
         """
         return check_model(self, names)
 
     def change(self, element: Changeable | str, **fields: object) -> None:
-        """Change fields of an element, e.g. `model.change(design, priority=2)`, or nothing if one is refused.
+        """Change fields of an element, e.g.
+
+        `model.change(design, priority=2)`, or nothing if one is refused.
 
         Args:
-            element: an element, constraint or estimation of this model, or a name that only one element has.
-            fields: the new values. Constraint: `value`, `hysteresis`, `dwell`; design: `priority`; configuration:
-                `priority`, `parameters`; function: `always_improve`; component: `always_improve`,
-                `stops_to_configure`; attribute: `max_age`, `when_stale`, `agreement`, `forecasting`, `rates`;
+            element: an element, constraint or estimation of this model, or a name that only one
+                element has.
+            fields: the new values. Constraint: `value`, `hysteresis`, `dwell`; design: `priority`;
+                configuration: `priority`, `parameters`; function: `always_improve`; component:
+                    `always_improve`,
+                `stops_to_configure`; attribute: `max_age`, `when_stale`, `agreement`,
+                `forecasting`, `rates`;
                 estimation: `value`, `kind`.
         """
-        element = self._meant("what is changed", element)
+        changed: Changeable = self._own("what is changed", element, *_NAMED, Constraint, Estimation)
+        kind = KINDS[type(changed)]
+        name = called(changed)
         checks = {
-            field: one.check for field, one in CHECKS[type(element)].items() if one.can_change
+            field: check.check for field, check in CHECKS[type(changed)].items() if check.can_change
         }
-        if unknown := [field for field in fields if field not in checks]:
-            what, allowed = (
-                f"{KINDS[type(element)]} {called(element)!r}",
-                ", ".join(checks) or "nothing",
-            )
-            raise ModelError(f"{unknown[0]!r} of {what} cannot change; what can: {allowed}")
-        values = {
-            field: checks[field](field, called(element), value) for field, value in fields.items()
-        }
-        self._amend("changed", [element], partial(_set, element, values))
+        for field in fields:
+            if field not in checks:
+                allowed = ", ".join(checks) or "nothing"
+                raise ModelError(f"{field!r} of {kind} {name!r} cannot change; what can: {allowed}")
+        values = {field: checks[field](field, name, value) for field, value in fields.items()}
+        self._amend("changed", [changed], partial(_set, changed, values))
 
     def remove(self, element: Changeable | str) -> None:
-        """Remove an element, or the only one with a name, and with it its constraints and the estimations it causes.
+        """Remove an element with its constraints and the estimations that it causes.
 
         A constraint that also applies to other elements stays on those.
 
         Raises:
             ModelError: other elements of the model need this one; the message names them.
         """
-        element = self._meant("what is removed", element)
-        users = _users_of(self, element) if isinstance(element, Element) else []
+        unwanted: Changeable = self._own(
+            "what is removed", element, *_NAMED, Constraint, Estimation
+        )
+        users = _users_of(self, unwanted) if isinstance(unwanted, Element) else []
         if users:
             raise ModelError(
-                f"{called(element)!r} is needed by {', '.join(users)}; remove that first"
+                f"{called(unwanted)!r} is needed by {', '.join(users)}; remove that first"
             )
         rests = {
-            one: tuple(other for other in one.constrained if other is not element)
-            for one in self.constraints
-            if element in one.constrained
+            constraint: tuple(other for other in constraint.constrained if other is not unwanted)
+            for constraint in self.constraints
+            if unwanted in constraint.constrained
         }
-        removed: list[Changeable] = [element, *(one for one, rest in rests.items() if not rest)]
-        removed += [one for one in self.estimations if one.causer is element]
+        removed: list[Changeable] = [unwanted, *(one for one, rest in rests.items() if not rest)]
+        removed += [estimation for estimation in self.estimations if estimation.causer is unwanted]
         facts = [fact for fact in self._facts if not _concerns(fact, removed)]
 
         def put() -> None:
@@ -437,7 +494,7 @@ class Model:
                 self._changing.release()
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether two models have the same name and content, in the same order within each kind."""
+        """Tell whether two models have the same name and content in the same order."""
         return isinstance(other, Model) and (self is other or self.plain() == other.plain())
 
     def __hash__(self) -> int:
@@ -447,71 +504,65 @@ class Model:
         return f"<Model {self.name!r}>"
 
     def _repr_html_(self) -> str:
-        named = (
-            one
-            for cls, table in self.tables.items()
-            if issubclass(cls, Element)
-            for one in table.values()
-        )
-        rows = [(KINDS[type(one)], one.name, _facts(one)) for one in named]
+        rows = []
+        for words, values in self.plain()[1:]:
+            name = values.pop("name", None)
+            if name is not None:
+                stated = [f"{field.replace('_', ' ')}: {value}" for field, value in values.items()]
+                rows.append((KINDS[_CLASSES[words]], name, "; ".join(stated)))
         return html_table(f"model {self.name}", ("kind", "name", "what it is"), rows)
 
-    def _restored(self, action: str, values: object) -> tuple[Restorable, ...]:
-        """Return attributes and components that are given by themselves or by their names."""
-        tables = {KINDS[cls]: self._tables[cls] for cls in (Attribute, Component)}
-        advice = "give the element itself, e.g. model."
-        elements: list[Restorable] = []
-        for value in listed(f"what {action!r} restores", values):
-            if isinstance(value, str):
-                value = meant_by(value, tables, "attribute or component", advice)
-            self._owned(f"what {action!r} restores", value, Restorable)
-            elements.append(value)
-        return tuple(dict.fromkeys(elements))
-
-    def _names(self, cls: type[Element], name: str, field: str, value: object) -> object:
-        if field == "restores" and cls is Action:
-            return self._restored(name, value)
+    def _referred(self, cls: type, name: str, field: str, value: object) -> object:
+        """Return elements that are restored, or the names that a field holds."""
+        if field == "restores":
+            what = f"what {name!r} restores"
+            each = [self._own(what, item, Attribute, Component) for item in listed(what, value)]
+            return tuple(dict.fromkeys(each))
         if field not in REFERENCES:
             raise UnknownName(f"field of {KINDS[cls]}", field, CHECKS[cls])
+        target = REFERENCES[field]
         if field not in ("functions", "components"):
-            return self._reference(REFERENCES[field], value)
-        given = listed(f"the {field} of {name!r}", value)
-        return tuple(dict.fromkeys([self._reference(REFERENCES[field], one) for one in given]))
+            return self._own(KINDS[target], value, target).name
+        items = listed(f"the {field} of {name!r}", value)
+        return tuple(dict.fromkeys(self._own(KINDS[target], item, target).name for item in items))
 
-    def _reference(self, cls: type[Element], given: object) -> str:
-        """Return the name of an element that is given by itself or by its name."""
-        table = self._tables[cls]
-        if not isinstance(given, Element):
-            found: Element = table[given]
-            return found.name
-        kind = KINDS[cls]
-        if given.model is not self:
-            raise ModelError(
-                f"{kind} {given.name!r} belongs to model {given.model.name!r}, not to {self.name!r}"
-            )
-        name = given.name
-        if table.get(name) is not given:
-            raise ModelError(f"a {kind} is needed here, not the {type(given).__name__} {name!r}")
-        return name
+    def _own(self, what: str, given: object, *classes: type) -> Any:  # noqa: ANN401  # of the classes
+        """Return an element of this model, given by itself or by a name that only one has."""
+        if not isinstance(given, (Element, Constraint, Estimation)):
+            tables = {KINDS[cls]: self._tables[cls] for cls in classes if issubclass(cls, Element)}
+            return meant_by(given, tables, what, "give the one meant, e.g. model.")
+        self._of_kind(what, given, classes)
+        if isinstance(given, Element) and given.model is not self:
+            other = given.model.name
+            raise ModelError(f"{given.name!r} belongs to model {other!r}, not to {self.name!r}")
+        if self._tables[type(given)].get(_key(given)) is not given:
+            name = str(given) if isinstance(given, Constraint) else repr(called(given))
+            of = "the estimation of " if isinstance(given, Estimation) else ""
+            raise ModelError(f"{of}{name} is not in model {self.name!r}, or no longer")
+        return given
+
+    def _of_kind(self, what: str, element: object, classes: Sequence[type]) -> None:
+        if not isinstance(element, tuple(classes)):
+            names = ", ".join(cls.__name__ for cls in classes)
+            raise ModelError(f"{what} can be one of {names}; not {element!r}")
 
     def _expressions(self, values: object) -> tuple[Expression, ...]:
-        wanted = listed("constraints", values)
-        for expression in wanted:
+        expressions = listed("constraints", values)
+        for expression in expressions:
             if not isinstance(expression, Expression):
+                what = "a constraint is a comparison such as `light >= 0.5`"
+                raise ModelError(f"{what}, not {expression!r}")
+            if expression.model not in (None, self):
+                other = expression.model.name
                 raise ModelError(
-                    f"a constraint is a comparison such as `light >= 0.5`, not {expression!r}"
+                    f"{expression} compares an attribute of {other!r}, not of {self.name!r}"
                 )
-            of = expression.model
-            if of is not None and of is not self:
-                raise ModelError(
-                    f"{expression} compares an attribute of {of.name!r}, not of {self.name!r}"
-                )
-            self._reference(Attribute, expression.attribute)
-        return wanted
+            self._own("attribute", expression.attribute, Attribute)
+        return expressions
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
-        """Make all declarations within the `with` statement one change, or none of them if one is refused."""
+        """Make all declarations within the `with` statement one change, or none of them."""
         batch = self._batch = []
         try:
             yield
@@ -551,31 +602,6 @@ class Model:
     def _watching(self) -> list[Observer]:
         return [observer for one in tuple(self._observers) if (observer := one()) is not None]
 
-    def _meant(self, what: str, element: Changeable | str) -> Changeable:
-        tables: dict[str, dict[str, Element]] = {KINDS[cls]: self._tables[cls] for cls in _NAMED}
-        advice = "give the one meant, e.g. model."
-        found = (
-            meant_by(element, tables, "element", advice) if isinstance(element, str) else element
-        )
-        self._owned(what, found, Changeable)
-        return found
-
-    def _of_kind(self, what: str, element: object, kinds: UnionType) -> None:
-        if not isinstance(element, kinds):
-            names = ", ".join(kind.__name__ for kind in get_args(kinds))
-            raise ModelError(f"{what} can be one of {names}; not {element!r}")
-
-    def _owned(self, what: str, element: Changeable, kinds: UnionType) -> None:
-        self._of_kind(what, element, kinds)
-        if isinstance(element, Element) and element.model is not self:
-            raise ModelError(
-                f"{element.name!r} belongs to model {element.model.name!r}, not to {self.name!r}"
-            )
-        if self._tables[type(element)].get(_key(element)) is not element:
-            name = str(element) if isinstance(element, Constraint) else repr(called(element))
-            of = "the estimation of " if isinstance(element, Estimation) else ""
-            raise ModelError(f"{of}{name} is not in model {self.name!r}, or no longer")
-
 
 def _key(one: Changeable) -> object:
     return one.name if isinstance(one, Element) else one
@@ -602,71 +628,75 @@ def _suffix(file: Path) -> str:
 
 
 def _users_of(model: Contents, element: Element) -> list[str]:
-    given = [field for field, cls in REFERENCES.items() if isinstance(element, cls)]
-    owners = (
-        one for cls in (Action, FunctionDesign, Configuration) for one in model.tables[cls].values()
-    )
-    users: dict[Changeable, str] = {one: f"{KINDS[type(one)]} {one.name!r}" for one in owners}
-    users |= {one: f"constraint {one}" for one in model.constraints}
-    users |= {one: f"an estimation of {one.attribute!r}" for one in model.estimations}
-    named = ((text, getattr(one, field, ())) for one, text in users.items() for field in given)
-    found = [
-        text
-        for text, names in named
-        if element.name in (names if isinstance(names, tuple) else (names,))
-    ]
-    for action in model.tables[Action].values():
-        if element in action.restores:
-            found.append(f"action {action.name!r}")
-    rated = model.attributes.values() if isinstance(element, Action) else ()
-    return found + [
-        f"a rate of {one.name!r}"
-        for one in rated
-        for rate in one.rates
-        if rate.while_ == element.name
-    ]
+    """Return what needs an element, in words."""
+    named = [field for field, cls in REFERENCES.items() if isinstance(element, cls)]
+    users = []
+    for table in model.tables.values():
+        for user in table.values():
+            stated = [name for field in named for name in _listed(getattr(user, field, ()))]
+            rated = [rate.while_ for rate in getattr(user, "rates", ())]
+            is_action = isinstance(element, Action)
+            if element in getattr(user, "restores", ()) or element.name in stated:
+                users.append(_described(user))
+            elif is_action and element.name in rated:
+                users.append(f"a rate of {user.name!r}")
+    return users
+
+
+def _listed(value: object) -> tuple[Any, ...]:
+    return value if isinstance(value, tuple) else (value,)
+
+
+def _described(element: Changeable) -> str:
+    if isinstance(element, Element):
+        return f"{KINDS[type(element)]} {element.name!r}"
+    if isinstance(element, Constraint):
+        return f"constraint {element}"
+    return f"an estimation of {element.attribute!r}"
+
+
+_ABOUT: Final = {
+    StatusFact: (tuple(KINDS), "a status"),
+    RequiredFact: ((Action, Function, Component), "required"),
+    SelectedFact: ((FunctionDesign, Configuration), "selected"),
+}
+"""What each fact about an element can be about."""
 
 
 def _checked_fact(model: Contents, fact: object) -> Fact:
-    """Return a fact, after checking that its elements are in the model and its values are allowed."""
+    """Return a fact, after checking that its elements and values are allowed."""
     if not isinstance(fact, Fact):
         raise ModelError(f"a fact is one of those in kb.facts, not {fact!r}")
-    if isinstance(fact, StatusFact):
-        return replace(fact, status=status_of(KINDS[type(fact.element)], fact.status))
-    if isinstance(fact, RequiredFact | SelectedFact):
-        kinds, what = (
-            (_REQUIRABLE, "required")
-            if isinstance(fact, RequiredFact)
-            else (_SELECTABLE, "selected")
-        )
-        if not isinstance(fact.element, kinds):
-            raise ModelError(
-                f"{KINDS[type(fact.element)]} cannot be stated to be {what}: {fact.element!r}"
-            )
+    if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
+        classes, what = _ABOUT[type(fact)]
+        if not isinstance(fact.element, classes):
+            kind = KINDS[type(fact.element)]
+            raise ModelError(f"{kind} cannot be stated to be {what}: {fact.element!r}")
+        if isinstance(fact, StatusFact):
+            return replace(fact, status=status_of(KINDS[type(fact.element)], fact.status))
         return fact
     for cls, name in _named_by(fact):
         if not isinstance(name, str) or name not in model.tables[cls]:
             raise UnknownName(KINDS[cls], name, model.tables[cls])
-    given = {one.name: getattr(fact, one.name) for one in fields(fact)}
-    values: dict[str, Any] = {
-        name: finite_number(at)
-        for name, at in given.items()
-        if name in ("time", "start", "end") and at is not None
-    }
-    if isinstance(fact, facts.MeasurementFact):
-        flag(f"latest of the measurement of {fact.attribute!r}", fact.latest)
-        values["value"] = model.attributes[fact.attribute].checked(fact.value)
-    if isinstance(fact, facts.PlanFact):
-        for name in ("activate", "deactivate", "parameters"):
-            values[name] = tuple(dict.fromkeys(getattr(fact, name)))
-    if isinstance(fact, facts.ProcessFact):
-        values["pid"] = whole("a process number", fact.pid, 0)
-    if given.get("result") is not None:
-        check_result(given["result"])
-    if isinstance(fact, facts.RequiredActionFact) and fact.preference is not None:
-        weights = {name: finite_number(weight) for name, weight in fact.preference.items()}
-        values["preference"] = MappingProxyType(weights) if weights else None
-    return replace(fact, **values)
+    checked: dict[str, Any] = {}
+    for field in fields(fact):
+        value = getattr(fact, field.name)
+        if field.name in ("time", "start", "end") and value is not None:
+            checked[field.name] = finite_number(value)
+        elif field.name == "result" and value is not None:
+            check_result(value)
+        elif field.name == "pid":
+            checked["pid"] = whole("a process number", value, 0)
+        elif field.name == "latest":
+            flag("latest of a measurement", value)
+        elif field.name == "preference" and value is not None:
+            weights = {name: finite_number(weight) for name, weight in value.items()}
+            checked["preference"] = MappingProxyType(weights) if weights else None
+        elif isinstance(value, tuple | list):
+            checked[field.name] = tuple(dict.fromkeys(value))
+        elif field.name == "value" and isinstance(fact, MeasurementFact):
+            checked["value"] = model.attributes[fact.attribute].checked(value)
+    return replace(fact, **checked)
 
 
 def _named_by(fact: Fact) -> Iterator[tuple[type[Element], str]]:
@@ -675,36 +705,19 @@ def _named_by(fact: Fact) -> Iterator[tuple[type[Element], str]]:
         value = getattr(fact, field.name)
         if field.name == "preference" and value is not None:
             if not isinstance(value, Mapping):
-                raise ModelError(
-                    f"a preference is given as weights by name of attribute, not as {value!r}"
-                )
+                what = "a preference is given as weights by name of attribute"
+                raise ModelError(f"{what}, not as {value!r}")
             yield from ((Attribute, name) for name in value)
         elif field.name in REFERENCES:
-            names = listed(field.name, value) if isinstance(fact, facts.PlanFact) else (value,)
+            names = listed(field.name, value) if isinstance(fact, PlanFact) else (value,)
             yield from ((REFERENCES[field.name], name) for name in names)
 
 
 def _concerns(fact: Fact, removed: Collection[Changeable]) -> bool:
     if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
         return fact.element in removed
-    gone = {(type(one), one.name) for one in removed if isinstance(one, Element)}
-    return any(one in gone for one in _named_by(fact))
-
-
-def _facts(element: Element) -> str:
-    """Return the declared fields of an element in words, without those that have their defaults."""
-    said = []
-    for one in fields(element):
-        value = getattr(element, one.name)
-        if (
-            one.name not in ("name", "model", "estimations")
-            and value != one.default
-            and value not in ((), {})
-        ):
-            parts = value if isinstance(value, tuple) else (value,)
-            words = ", ".join(str(getattr(part, "name", part)) for part in parts)
-            said.append(f"{one.name.replace('_', ' ')}: {words}")
-    return "; ".join(said)
+    gone = {(type(element), called(element)) for element in removed}
+    return any(named in gone for named in _named_by(fact))
 
 
 # ---------------------------------------------------------------- plain values
@@ -758,22 +771,12 @@ def _referred(model: Model, reference: Sequence[Any]) -> Any:  # noqa: ANN401  #
 
 def _declare(model: Model, words: str, plain: Mapping[str, Any]) -> Changeable | None:
     """Declare what a row describes; a fact is no element."""
-    cls = _CLASSES[words]
     values = dict(plain)
     for name in {"constrained", "restores"} & values.keys():
         values[name] = [_referred(model, each) for each in values[name]]
     for name in {"causer", "element"} & values.keys():
         values[name] = _referred(model, values[name])
-    if cls is Constraint:
-        return model.constrain(values.pop("constrained"), Expression(**values))
-    if cls is Estimation:
-        return model.add_estimation(**values)
-    if issubclass(cls, Element):
-        declared: Element = model.declare(cls, values.pop("name"), **values)
-        return declared
-    fact: Any = cls(**values)
-    model.add_fact(fact)
-    return None
+    return model.state(_CLASSES[words], values)
 
 
 Amendment = Sequence[Any]
@@ -805,12 +808,10 @@ def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # no
     else:
         for reference, _, values in written:
             element = element_of(*reference)
-            checks = CHECKS[type(element)]
-            changeable = [each for each in fields(element) if each.name in checks]
             new = {
-                each.name: values.get(each.name, each.default)
-                for each in changeable
-                if checks[each.name].can_change
+                field.name: values.get(field.name, field.default)
+                for field in fields(element)
+                if (check := CHECKS[type(element)].get(field.name)) and check.can_change
             }
             model.change(element, **new)
 
@@ -825,29 +826,21 @@ def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[M
 
 
 def amended_alike(then: Model, numbers: Serials, model: Model) -> Serials | None:
-    """Return the numbers of a model's elements for those of an equal model; None if the models differ."""
+    """Return the numbers of a model's elements for those of an equal model.
+
+    None if the models differ.
+    """
     if then != model:
         return None
     pairs = zip(Serials.of(then), Serials.of(model), strict=True)
     return Serials((now, numbers[before]) for before, now in pairs)
 
 
-def differences(then: Model, now: Model, kept_in: str = "store") -> list[str]:
-    """Say which statements are in only one of two models; nothing if they are equal. `kept_in` is where `then` is."""
-    if then == now:
-        return []
-    before, after = _statements(then), _statements(now)
+def differences(then: Model, now: Model) -> list[str]:
+    """Say which statements are in only one of two models: one of a store, and another."""
+    before = [f"{words} {values}" for words, values in then.plain()]
+    after = [f"{words} {values}" for words, values in now.plain()]
     return [
-        *(f"{one} is not in the {kept_in}" for one in after if one not in before),
-        *(f"{one} is in the {kept_in} only" for one in before if one not in after),
+        *(f"{row} is not in the store" for row in after if row not in before),
+        *(f"{row} is in the store only" for row in before if row not in after),
     ] or ["the order of its elements is another"]
-
-
-def _statements(model: Model) -> dict[str, None]:
-    """Return all that a model says, in words."""
-    statements: dict[str, None] = {}
-    for words, values in model.plain():
-        name = f" {values['name']}" if "name" in values else ""
-        stated = [f"{field} {value}" for field, value in values.items() if field != "name"]
-        statements[f"{words}{name} ({', '.join(stated)})"] = None
-    return statements

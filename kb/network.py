@@ -1,7 +1,5 @@
-"""The network of a model: one node for each element, connected to the nodes that its status depends on."""
+"""The network of a model: one node for each element, linked to the nodes that its status depends on."""
 
-import math
-from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
@@ -45,29 +43,46 @@ class Node:
     by the nodes that require it; a constraint by the elements that it is on.
     """
 
-    __slots__ = ("constraints", "element", "index", "kind", "level", "name", "requires", "used_by")
+    __slots__ = (
+        "constraints",
+        "debounced",
+        "element",
+        "index",
+        "kind",
+        "level",
+        "name",
+        "network",
+        "requires",
+        "used_by",
+    )
 
     element: Any  # the element of the model; `kind` says of which class
     name: str
     constraints: list["Node"]  # those on this element; for an attribute those that compare it
+    debounced: list["Node"]  # for an attribute those whose status depends on earlier measurements
     requires: list["Node"]
     used_by: list["Node"]
 
-    def __init__(self, index: int, kind: str, element: Element | Constraint) -> None:
+    def __init__(
+        self, network: "Network", index: int, kind: str, element: Element | Constraint
+    ) -> None:
+        self.network = network
         self.index = index  # the order of declaration
-        self.kind, self.level = kind, LEVELS[kind]
+        self.kind = kind
+        self.level = LEVELS[kind]
         self.element = element
 
     @property
     def attribute(self) -> Attribute:
         """The attribute of this node, or the one that this constraint compares."""
-        found: Attribute = self.requires[0].element if self.kind == "constraint" else self.element
-        return found
+        node = self.requires[0] if self.kind == "constraint" else self
+        attribute: Attribute = node.element
+        return attribute
 
     @property
     def constraint(self) -> Constraint:
-        found: Constraint = self.element
-        return found
+        constraint: Constraint = self.element
+        return constraint
 
     @property
     def ref(self) -> Ref:
@@ -76,6 +91,9 @@ class Node:
         owner = self.used_by[0]
         return owner.kind, owner.name, owner.constraints.index(self)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Network.referred, (self.network, self.ref)
+
     def __repr__(self) -> str:
         return f"<{self.kind} {self.name!r}>"
 
@@ -83,53 +101,13 @@ class Node:
         return f"{self.kind} {self.name}"
 
 
-class Thresholds:
-    """The constraints on one attribute, in the order of the values at which their status changes.
-
-    Each of the four comparisons changes at one value t: it has one status below t and the other one from t on. For
-    `>` and `<=`, t is the next floating-point number above the written one.
-    """
-
-    def __init__(self, attribute: Node) -> None:
-        # their status depends on earlier measurements too
-        self.debounced = [node for node in attribute.constraints if is_debounced(node)]
-        self._nodes = sorted(
-            (node for node in attribute.constraints if not is_debounced(node)), key=_turn
-        )
-        self._turns = [_turn(node) for node in self._nodes]
-
-    def crossed(self, old: float, new: float) -> list[Node]:
-        """Return the constraints whose status differs between the old and the new value."""
-        before, after = bisect_right(self._turns, old), bisect_right(self._turns, new)
-        return self._nodes[before:after] if before < after else self._nodes[after:before]
-
-    def around(self, value: float) -> list[float]:
-        place = bisect_right(self._turns, value)
-        return [node.constraint.value for node in self._nodes[max(0, place - 1) : place + 1]]
-
-
-def is_debounced(node: Node) -> bool:
-    """Tell whether the status of a constraint depends on earlier measurements too; see `kb.debounce`."""
-    return (
-        node.constraint.hysteresis > 0
-        or node.constraint.dwell > 0
-        or node.attribute.agreement != (1, 1)
-    )
-
-
-def _turn(node: Node) -> float:
-    value = node.constraint.value
-    return value if node.constraint.operator in (">=", "<") else math.nextafter(value, math.inf)
-
-
 class Network:
-    """One node for each element of a model, found by name within its kind; a constraint is found by itself."""
+    """One node for each element of a model, found by name within its kind; a constraint by itself."""
 
     def __init__(self, model: Contents) -> None:
         self.model = model
         self.revision = 0  # grows at each `renew`
-        self.nodes: list[Node] = []
-        self._thresholds: dict[Node, Thresholds] = {}
+        self._count = 0
         self._tables: dict[type, ByName[Node]] = {
             cls: ByName(kind) for cls, kind in KINDS.items() if kind in LEVELS
         }
@@ -140,95 +118,84 @@ class Network:
         self.designs: Mapping[str, Node] = self._tables[FunctionDesign]
         self.actions: Mapping[str, Node] = self._tables[Action]
         self.constraints: Mapping[Constraint, Node] = self._tables[Constraint]
-        tables = {
-            kind: self._tables[cls] for cls, kind in KINDS.items() if issubclass(cls, Element)
-        }
+        tables = {KINDS[cls]: table for cls, table in self._tables.items() if cls is not Constraint}
         self.kinds: Mapping[str, Mapping[str, Node]] = ByName("kind of element", tables)
         self.renew()
 
-    def thresholds(self, attribute: Node) -> Thresholds:
-        """Return the constraints on an attribute in the order of their thresholds."""
-        thresholds = self._thresholds.get(attribute)
-        if thresholds is None:
-            thresholds = self._thresholds[attribute] = Thresholds(attribute)
-        return thresholds
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Network, (self.model,)
+
+    def present(self) -> Iterator[Node]:
+        """Yield the node of every element that is in the model."""
+        for table in self._tables.values():
+            yield from tuple(table.values())
 
     def find(self, element: Element | Constraint) -> Node:
         """Return the node of an element of this model; UnknownName if it is not, or no longer, in the model."""
         table = self._tables[type(element)]
-        node = table.get(element if isinstance(element, Constraint) else element.name)
+        key = element.name if isinstance(element, Element) else element
+        node = table.get(key)
         if node is None or node.element is not element:
-            name = str(element) if isinstance(element, Constraint) else element.name
-            raise UnknownName(KINDS[type(element)], name, [str(one) for one in table])
+            raise UnknownName(KINDS[type(element)], str(key), map(str, table))
         return node
 
-    def present(self) -> Iterator[Node]:
-        """Yield every node that has not been removed."""
-        for table in self._tables.values():
-            yield from tuple(table.values())
-
     def referred(self, ref: Ref) -> Node:
-        kind, name, position = (
-            ref if len(ref) == 3 else (*ref, 0) if len(ref) == 2 else (None, None, None)
+        """Return the node that a reference stands for."""
+        match ref:
+            case str(kind), str(name):
+                return self.kinds[kind][name]
+            case str(kind), str(name), int(position):
+                constraints = self.kinds[kind][name].constraints
+                if 0 <= position < len(constraints):
+                    return constraints[position]
+                positions = map(str, range(len(constraints)))
+                raise UnknownName(f"constraint on {kind} {name!r}", position, positions)
+        raise InvalidValue(
+            f"{shown(ref)} stands for nothing; an element is (kind, name), a constraint "
+            "(kind, name, position) by what it is on"
         )
-        if not (isinstance(kind, str) and isinstance(name, str) and type(position) is int):
-            what = (
-                "an element is (kind, name), a constraint (kind, name, position) by what it is on"
-            )
-            raise InvalidValue(f"{shown(ref)} stands for nothing; {what}")
-        node = self.kinds[kind][name]
-        if len(ref) == 2:
-            return node
-        if not 0 <= position < len(node.constraints):
-            raise UnknownName(
-                f"constraint on {kind} {name!r}", position, map(str, range(len(node.constraints)))
-            )
-        return node.constraints[position]
 
     def renew(self) -> None:
-        """Connect the nodes of all elements that are in the model now; it can be called again after an interrupt.
+        """Link the nodes of all elements that are in the model now; it can be repeated.
 
         An element keeps its node. The index of a removed element is not used again.
         """
         self.revision += 1
-        self._thresholds = {}
-        for cls, known in self._tables.items():
-            kind, table = KINDS[cls], self.model.tables[cls]
-            for key, element in table.items():
-                node = known.get(key)
+        for cls, nodes in self._tables.items():
+            elements = self.model.tables[cls]
+            for key, element in elements.items():
+                node = nodes.get(key)
                 if node is None or node.element is not element:
-                    node = Node(len(self.nodes), kind, element)
-                    self.nodes.append(node)
-                node.name, known[key] = str(key), node  # last: what is found by name is complete
-            for key in (
-                [key for key in known if key not in table] if len(known) > len(table) else ()
-            ):
-                known.pop(key, None)
-        for node in self.nodes:
-            node.constraints, node.requires, node.used_by = [], [], []
+                    node = Node(self, self._count, KINDS[cls], element)
+                    self._count += 1
+                node.name = str(key)
+                node.constraints, node.debounced = [], []
+                node.requires, node.used_by = [], []
+                nodes[key] = node
+            for key in [key for key in nodes if key not in elements]:
+                nodes.pop(key, None)
         for node in self.configurations.values():
-            link(self.components[node.element.component], node)
+            _link(self.components[node.element.component], node)
         for node in self.designs.values():
             for name in node.element.components:
-                link(node, self.components[name])
-            link(self.functions[node.element.function], node)
+                _link(node, self.components[name])
+            _link(self.functions[node.element.function], node)
         for node in self.actions.values():
             for name in dict.fromkeys(node.element.functions):
-                link(node, self.functions[name])
-        for node in self.constraints.values():
-            self._link_constraint(node)
+                _link(node, self.functions[name])
+        for constraint, node in self.constraints.items():
+            attribute = self.attributes[constraint.attribute]
+            node.requires.append(attribute)
+            attribute.constraints.append(node)
+            if constraint.hysteresis or constraint.dwell or node.attribute.agreement != (1, 1):
+                attribute.debounced.append(node)
+            for element in dict.fromkeys(constraint.constrained):
+                owner = self._tables[type(element)][element.name]
+                node.used_by.append(owner)
+                owner.constraints.append(node)
 
-    def _link_constraint(self, node: Node) -> None:
-        attribute = self.attributes[node.element.attribute]
-        node.requires.append(attribute)
-        attribute.constraints.append(node)
-        for element in dict.fromkeys(node.element.constrained):
-            owner = self._tables[type(element)][element.name]
-            node.used_by.append(owner)
-            owner.constraints.append(node)
 
-
-def link(user: Node, part: Node) -> None:
-    """Connect two nodes: the status of the user is inferred from that of the part."""
+def _link(user: Node, part: Node) -> None:
+    """Link two nodes: the status of the user is inferred from that of the part."""
     user.requires.append(part)
     part.used_by.append(user)

@@ -1,13 +1,11 @@
 """Choices of designs and configurations, by priority or a criterion, and what they change."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
-from kb.elements import ComponentKind, Configuration, FunctionDesign, finite_number
-from kb.exceptions import InvalidValue
-from kb.network import Network, Node
+from kb.elements import ComponentKind, Configuration, FunctionDesign
+from kb.network import Node
 from kb.records import ReconfigurationPlan
 from kb.state import State, in_order
 from kb.status import Status
@@ -25,125 +23,6 @@ class Choice(NamedTuple):
         choice = f"designs={dict(self.designs)}, configurations={dict(self.configurations)}"
         reason = f", reason={self.reason!r}" if self.reason else ""
         return f"Choice({choice}{reason})"
-
-
-@dataclass(frozen=True, slots=True)
-class Criterion:
-    """What makes one choice better than another, and the budgets that no choice may exceed.
-
-    Attributes:
-        weights: how much a unit of each attribute is worth, by name; less than 0 if less of it is
-            better.
-        switching_cost: the cost of activating or deactivating a component or changing its
-            configuration, the same for all or by name of the component; in the unit of value times
-            weight.
-        budgets: the most that the estimations of what is chosen or active may sum up to, by
-            attribute.
-    """
-
-    weights: Mapping[str, float]
-    switching_cost: float | Mapping[str, float] = 0.0
-    budgets: Mapping[str, float] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        costs = self.switching_cost
-        for number in (*self.weights.values(), *self.budgets.values()):
-            finite_number(number)
-        for cost in costs.values() if isinstance(costs, Mapping) else (costs,):
-            if finite_number(cost) < 0.0:
-                raise InvalidValue(f"a switching cost is 0 or more, not {cost!r}")
-
-    def cost_of(self, component: str) -> float:
-        """Return what it costs to switch a component."""
-        if isinstance(self.switching_cost, Mapping):
-            return self.switching_cost.get(component, 0.0)
-        return self.switching_cost
-
-    def check(self, network: Network) -> None:
-        """Raise `UnknownName` if a named attribute or component is not in the model."""
-        for name in (*self.weights, *self.budgets):
-            network.attributes[name]
-        if isinstance(self.switching_cost, Mapping):
-            for name in self.switching_cost:
-                network.components[name]
-
-    @property
-    def goal(self) -> str:
-        """The weights in words, e.g. "accuracy - 0.03 power"; empty if there are none."""
-        weights = {name: weight for name, weight in self.weights.items() if weight}
-        if list(weights.values()) == [-1.0]:
-            return f"little {next(iter(weights))}"
-        words = ""
-        for name, weight in weights.items():
-            sign = "-" if weight < 0.0 else ""
-            if words:
-                sign = " - " if weight < 0.0 else " + "
-            factor = "" if abs(weight) == 1.0 else f"{number(abs(weight))} "
-            words += f"{sign}{factor}{name}"
-        return words
-
-    @property
-    def limits(self) -> str:
-        """The budgets in words, e.g. "power 40"; empty if there are none."""
-        return " and ".join(f"{name} {number(limit)}" for name, limit in self.budgets.items())
-
-
-@dataclass(frozen=True, slots=True)
-class Optimum:
-    """The best joint choice, or the best one that was found within the effort.
-
-    Attributes:
-        choice: what to select; None if no choice keeps within the budgets, or none was found.
-        value: the worth of the choice by its criterion, without switching costs; None without a
-            choice.
-        switching: the switching costs; value + switching is what is estimated; None without a
-            choice.
-        bound: an upper bound of the value of any choice; None without a choice.
-        resolution: choices whose values differ by no more than this count as equally good; 0 if
-            exact.
-        is_proven: no choice is better by more than the resolution, and no equal one comes first in
-            order.
-        reason: how sure that is, or why there is no choice, in words.
-    """
-
-    choice: Choice | None = None
-    value: float | None = None
-    switching: float | None = None
-    bound: float | None = None
-    resolution: float = 0.0
-    is_proven: bool = False
-    reason: str = ""
-
-    @property
-    def gap(self) -> float | None:
-        """How much better another choice can be at most; None without a choice."""
-        return None if self.value is None or self.bound is None else self.bound - self.value
-
-    @property
-    def worth(self) -> str:
-        """The worth of the choice in words, with its switching costs; empty without one."""
-        if self.value is None or self.switching is None:
-            return ""
-        worth = number(self.value)
-        if not self.switching:
-            return worth
-        estimated = number(self.value + self.switching)
-        return f"{worth} ({estimated} less {number(self.switching)} for switching)"
-
-
-def number(value: float) -> str:
-    """Write a number with at most 12 significant digits."""
-    return f"{value:.12g}"
-
-
-def summed_weights(preferences: Iterable[str | Mapping[str, float] | None]) -> dict[str, float]:
-    """Return the sum of all weights by attribute; a name alone has the weight 1."""
-    weights: dict[str, float] = {}
-    for preference in preferences:
-        weighed = {preference: 1.0} if isinstance(preference, str) else preference or {}
-        for attribute, weight in weighed.items():
-            weights[attribute] = weights.get(attribute, 0.0) + weight
-    return {name: weight for name, weight in weights.items() if weight}
 
 
 # -------------------------------------------------------------------- by priority
@@ -256,7 +135,7 @@ class Selection(NamedTuple):
     ) -> ReconfigurationPlan:
         """Return the plan that carries it out."""
         components = state.network.components
-        plain = frozenset(
+        plain = tuple(
             name
             for name in (*self.activate, *self.deactivate)
             if components[name].element.kind is ComponentKind.PLAIN

@@ -346,6 +346,6 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
         for component in self._programs:
             if component not in self._processes and kb.components[component].is_active:
                 kb.component_active(component, False, f"the process of {component} is no more")
-        for record in kb.processes:
+        for record in kb.history.processes:
             if record.component in self._programs and record.end is None and record.pid not in pids:
                 kb.component_ended(record.component, record.pid)

@@ -1,43 +1,25 @@
 """The records: requested actions, reconfiguration plans, processes, attempts, and vetoes of plans."""
 
-import math
-from collections.abc import Mapping
+import copyreg
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields
-from typing import Any, Final, NamedTuple, TypeVar
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
-from kb.elements import Parameters, is_number, table, whole
+from kb.elements import Parameters, table
 from kb.exceptions import InvalidValue
+from kb.facts import PlanFact, ProcessFact, RequiredActionFact
+
+if TYPE_CHECKING:
+    from kb.events import Event  # an event has a plan
 
 T = TypeVar("T")
 
 RESULTS: Final = ("completed", "failed", "abandoned")
-
-
-@dataclass(frozen=True, slots=True)
-class Memory:
-    """How much of the past a knowledge base holds in memory; facts that hold now are never forgotten.
-
-    The newest are held: at least as many as given here, and at most twice as many.
-
-    Attributes:
-        events: number of measurements, and also of other events, in the log.
-        measurements: number of measurements in the history of each attribute.
-        records: number of plans, of requests, of processes, of attempts and of answers that have ended.
-        span: whatever is older than this is forgotten too [s].
-    """
-
-    events: int = 100_000
-    measurements: int = 100_000
-    records: int = 10_000
-    span: float = math.inf
-
-    def __post_init__(self) -> None:
-        for name in ("events", "measurements", "records"):
-            whole(f"{name} of a memory", getattr(self, name))
-        if not is_number(self.span) or not self.span > 0:
-            raise InvalidValue(
-                f"the span of a memory is a time in seconds above 0, not {self.span!r}"
-            )
+_MOST: Final = 10_000
+"""How many records of each kind are held: the newest, and whatever has not ended."""
+_MOST_END_REASONS: Final = 4
 
 
 class Reply(NamedTuple):
@@ -108,7 +90,7 @@ class ReconfigurationPlan:
     start: float
     end: float | None = None
     result: str | None = None
-    plain: frozenset[str] = frozenset()
+    plain: tuple[str, ...] = ()
     cause: int | None = None
     number: int = 0
 
@@ -187,12 +169,9 @@ class Attempt:
     serial: int = 0
 
     def __str__(self) -> str:
-        outcome = (
-            f"{self.result or 'under way'}: {self.reason}"
-            if self.reason
-            else self.result or "under way"
-        )
-        return f"{self.operation} {self.component}, attempt {self.number}: {outcome}"
+        result = self.result or "under way"
+        reason = f": {self.reason}" if self.reason else ""
+        return f"{self.operation} {self.component}, attempt {self.number}: {result}{reason}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,12 +183,209 @@ class VetoAnswer:
         time: when the answer was given [s].
         is_vetoed: whether the execution was forbidden.
         reason: why it was forbidden, in words.
+        number: number of the event of the answer.
     """
 
     plan: ReconfigurationPlan
     time: float
     is_vetoed: bool
     reason: str = ""
+    number: int = 0
+
+
+Record = RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer
+_CLASSES: Final = (RequiredAction, ReconfigurationPlan, Process, Attempt, VetoAnswer)
+"""The classes of records, each after those that it refers to."""
+
+
+class Records:
+    """All records by number, in order. `apply` only assigns, so that it can be repeated after an interrupt.
+
+    Attributes:
+        requests: requested actions by number of the event.
+        required: the open ones of these by name of the action.
+        plans: reconfiguration plans by their number.
+        open_plans: those of these that have not ended.
+        processes: by number of the event of the start.
+        attempts: commands by their serial number.
+        answers: answers about plans by number of the event.
+        last_end: when a request ended last [s], and the number of that event.
+        end_reasons: why requests ended since the last plan, in words, by number of the event.
+        rejected: how many values of diagnostics could not be used.
+        progress: saved progress by action and behaviour; empty if it starts anew.
+    """
+
+    def __init__(self) -> None:
+        self._tables: dict[type, dict[int, Any]] = {cls: {} for cls in _CLASSES}
+        self.requests: dict[int, RequiredAction] = self._tables[RequiredAction]
+        self.required: dict[str, RequiredAction] = {}
+        self.plans: dict[int, ReconfigurationPlan] = self._tables[ReconfigurationPlan]
+        self.open_plans: dict[int, ReconfigurationPlan] = {}
+        self.processes: dict[int, Process] = self._tables[Process]
+        self.attempts: dict[int, Attempt] = self._tables[Attempt]
+        self.answers: dict[int, VetoAnswer] = self._tables[VetoAnswer]
+        self.last_end: tuple[float, int] | None = None
+        self.end_reasons: dict[int, str] = {}
+        self.rejected = 0
+        self.progress: dict[tuple[str, str], str] = {}
+        self._attempted = (0, 0)  # the newest event of an attempt, and its serial number
+
+    def apply(self, event: "Event") -> None:
+        """Enter what an event says."""
+        now = event.time
+        if event.plan is not None and event.plan.number not in self.plans:
+            self.end_reasons = {}
+            self._add(event.plan)
+        match event.verb, event.arguments:
+            case "request_action", (name, preference):
+                if isinstance(preference, Mapping):
+                    preference = MappingProxyType(dict(preference))
+                cause, number = event.cause, event.number
+                self._add(RequiredAction(name, preference, now, cause=cause, number=number))
+            case "cancel_action", (name, result, reason) if name in self.required:
+                self.last_end = now, event.number
+                if reason:
+                    self.end_reasons[event.number] = f"{name} is {result}: {reason}"
+                _finish(self.required[name], result=result, reason=reason, end=now)
+                del self.required[name]
+            case "finish_plan", (number, result):
+                plan = self.plans[number]
+                if plan.end is None:
+                    _finish(plan, result=result, end=now)
+                if result == "completed":
+                    for other in self.open_plans.values():
+                        if other.end is None:
+                            _finish(other, result="abandoned", end=now)
+                self.open_plans = {
+                    number: open_plan
+                    for number, open_plan in self.open_plans.items()
+                    if open_plan.end is None
+                }
+            case "component_started", (name, pid):
+                self._add(Process(name, pid, now, number=event.number))
+            case "component_ended", (name, pid):
+                for process in self.running(name, pid):
+                    _finish(process, end=now)
+            case "record_attempt", (number, component, operation, name, parameters, count):
+                if self._attempted[0] != event.number:
+                    self._attempted = event.number, next(reversed(self.attempts), 0) + 1
+                values = MappingProxyType(dict(parameters))
+                command = self.plans[number], component, operation, name, values, count, now
+                self._add(Attempt(*command, serial=self._attempted[1]))
+            case "finish_attempt", (serial, result, reason):
+                if serial in self.attempts:
+                    _finish(self.attempts[serial], result=result, reason=reason, end=now)
+            case "record_answer", (number, is_vetoed, reason):
+                plan = self.plans[number]
+                self._add(VetoAnswer(plan, now, is_vetoed, reason, event.number))
+            case "progress", (action, behaviour, saved):
+                self.progress[action, behaviour] = saved
+
+    def _add(self, record: Record) -> None:
+        """Add a record, unless there is one of this number already."""
+        table = self._tables[type(record)]
+        number = record.serial if isinstance(record, Attempt) else record.number
+        own = table.setdefault(number, record)
+        if isinstance(own, RequiredAction) and own.end is None:
+            self.required.setdefault(own.action, own)
+        elif isinstance(own, ReconfigurationPlan) and own.end is None:
+            self.open_plans[number] = own
+        if len(table) > 2 * _MOST:
+            ended = [key for key, old in table.items() if getattr(old, "end", 0.0) is not None]
+            for key in ended[:-_MOST]:
+                del table[key]
+
+    def running(self, component: str, pid: int | None = None) -> list[Process]:
+        """Return the processes of a component that run: the one of this number, or all."""
+        return [
+            process
+            for process in self.processes.values()
+            if process.component == component and process.end is None and pid in (None, process.pid)
+        ]
+
+    def begin(
+        self, fact: RequiredActionFact | PlanFact | ProcessFact, number: int, now: float
+    ) -> None:
+        """Add a record that a model states; a missing start is the end, or else now [s]."""
+        start = fact.start
+        if start is None:
+            start = now if fact.end is None else fact.end
+        values = {field.name: getattr(fact, field.name) for field in fields(fact)}
+        values |= {"start": start, "number": number}
+        if isinstance(fact, ProcessFact):
+            self._add(Process(**values))
+            return
+        if fact.end is None and fact.result is not None:
+            values["end"] = start
+        if isinstance(fact, PlanFact):
+            values |= {"reason": "stated by the model", "number": len(self.plans) + 1}
+            self._add(ReconfigurationPlan(**values))
+            return
+        if fact.preference and list(fact.preference.values()) == [1.0]:
+            (values["preference"],) = fact.preference
+        self._add(RequiredAction(**values))
+
+    def plan_of(self, plan: object) -> ReconfigurationPlan:
+        """Return a plan of these records, given by itself or by its number."""
+        number = plan.number if isinstance(plan, ReconfigurationPlan) else plan
+        own = self.plans.get(number) if type(number) is int else None
+        if own is not None and plan in (own, number):
+            return own
+        numbers = f"{min(self.plans)} to {max(self.plans)}" if self.plans else "none yet"
+        raise InvalidValue(
+            f"{plan!r} is not a plan of this knowledge base; give one of kb.plans "
+            f"(numbers: {numbers})"
+        )
+
+
+class HistoryView:
+    """The records that are needed less often; old ones that have ended may be forgotten."""
+
+    def __init__(
+        self, records: Records, reading: Callable[[], AbstractContextManager[object]]
+    ) -> None:
+        self._records = records
+        self._reading = reading
+
+    @property
+    def actions(self) -> tuple[RequiredAction, ...]:
+        """The actions that are or were required, in the order of the requests."""
+        return self._all(self._records.requests)
+
+    @property
+    def open_plans(self) -> tuple[ReconfigurationPlan, ...]:
+        """The plans that have not ended, in the order in which they were made."""
+        return self._all(self._records.open_plans)
+
+    @property
+    def processes(self) -> tuple[Process, ...]:
+        """The processes in which components ran or run, in the order of their starts."""
+        return self._all(self._records.processes)
+
+    @property
+    def attempts(self) -> tuple[Attempt, ...]:
+        """The commands that were given, in order, each with its result."""
+        return self._all(self._records.attempts)
+
+    @property
+    def answers(self) -> tuple[VetoAnswer, ...]:
+        """The answers to whether a plan may be executed, in order."""
+        return self._all(self._records.answers)
+
+    @property
+    def rejected(self) -> int:
+        """How many values of diagnostics could not be used so far."""
+        return self._records.rejected
+
+    @property
+    def progress(self) -> Mapping[tuple[str, str], str]:
+        """The progress of interrupted actions, by action and behaviour, as the task layer has saved it."""
+        with self._reading():
+            return {key: saved for key, saved in self._records.progress.items() if saved}
+
+    def _all(self, table: Mapping[int, T]) -> tuple[T, ...]:
+        with self._reading():
+            return tuple(table.values())
 
 
 def check_result(result: str) -> None:
@@ -217,28 +393,39 @@ def check_result(result: str) -> None:
         raise InvalidValue(f"{result!r} is no result; a result is one of {', '.join(RESULTS)}")
 
 
-def finish(
-    record: RequiredAction | ReconfigurationPlan | Process | Attempt, end: Mapping[str, Any]
-) -> None:
-    for name, value in end.items():
-        object.__setattr__(record, name, value)
+def read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(values)
 
 
-def written(
-    record: RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer,
-) -> dict[str, Any]:
+copyreg.pickle(MappingProxyType, lambda mapping: (read_only, (dict(mapping),)))
+
+
+def written(record: Record) -> dict[str, Any]:
     """Return a record as values that JSON can hold."""
     return {field.name: plain(getattr(record, field.name)) for field in fields(record)}
 
 
+def restored(cls: type[T], written: Mapping[str, Any]) -> T:
+    """Return the record that was written; a plan that it names is given as itself."""
+    values = dict(written)
+    for name, value in written.items():
+        if isinstance(value, list):
+            values[name] = tuple(value)
+        elif isinstance(value, dict):
+            values[name] = MappingProxyType(value)
+    return cls(**values)
+
+
 def plain(value: object) -> object:
     """Return a value in a form that JSON can hold; a plan becomes its number."""
-    if value is None or isinstance(value, str | int | float):
-        return value
     if isinstance(value, tuple | list):
-        return [plain(one) for one in value]
-    if isinstance(value, frozenset):
-        return sorted(value)
+        return [plain(item) for item in value]
     if isinstance(value, Mapping):
-        return {key: plain(one) for key, one in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     return value.number if isinstance(value, ReconfigurationPlan) else value
+
+
+def _finish(record: Record, **values: object) -> None:
+    """End a record, which is frozen for everybody else."""
+    for name, value in values.items():
+        object.__setattr__(record, name, value)

@@ -8,62 +8,62 @@ after it are replayed. If the disk is slower than the robot, whoever records wai
 import json
 import logging
 import os
+import pickle
 import sqlite3
-import threading
 import time
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
-from dataclasses import fields
+from io import BytesIO
 from pathlib import Path
-from typing import Any, Final, NamedTuple
-from weakref import WeakKeyDictionary
+from threading import Condition, Thread
+from threading import Event as Signal
+from typing import Any, Final
 
+from kb.debounce import Debounced
 from kb.events import Event, Log
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.model import Model, Serials, amend, amended_alike, differences, rebuilt
-from kb.records import ReconfigurationPlan, plain
+from kb.network import Network
+from kb.records import (
+    Attempt,
+    Process,
+    ReconfigurationPlan,
+    Records,
+    RequiredAction,
+    VetoAnswer,
+    read_only,
+    restored,
+    written,
+)
+from kb.state import Reason, State
+from kb.status import Status
 
-KEPT: Final = 10_000
-"""How many measurements of each attribute are kept: the newest ones."""
 _APPLICATION: Final = 0x524F5341  # ROSA in ASCII
-_FORMAT: Final = 4
+_FORMAT: Final = 5
 _TABLES: Final = """
 CREATE TABLE about (name TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE events (number INTEGER PRIMARY KEY, time REAL NOT NULL, verb TEXT NOT NULL,
     subject TEXT NOT NULL, data TEXT NOT NULL);
-CREATE TABLE snapshots (number INTEGER PRIMARY KEY, time REAL NOT NULL, data TEXT NOT NULL);
+CREATE TABLE snapshots (number INTEGER PRIMARY KEY, data BLOB NOT NULL);
 """
 _FORGET_MEASUREMENTS: Final = """
 DELETE FROM events WHERE number IN (SELECT number FROM (SELECT number, row_number() OVER (
     PARTITION BY subject ORDER BY number DESC) AS place FROM events WHERE verb = 'measure')
     WHERE place > ? AND number <= ?)
 """
+_IN_SNAPSHOTS: Final = {
+    what.__qualname__: what
+    for what in (
+        *(State, Reason, Debounced, Status, Network.referred, deque, read_only),
+        *(Records, RequiredAction, ReconfigurationPlan, Process, Attempt, VetoAnswer),
+    )
+}
+_ABOUT: Final = "INSERT OR REPLACE INTO about VALUES (?, ?)"
 _SNAPSHOT_AFTER: Final = 10_000  # events
 _MOST_WAITING: Final = 20_000  # events; with more, whoever records waits
-_MOST_LOST: Final = 100_000  # events; with more on a disk that is full, the store gives up
 _BATCH_PAUSE_S: Final = 0.001  # so that one transaction holds several events
 _RETRY_S: Final = 1.0
-_LONGEST_FORK_WAIT_S: Final = 5.0
-
-_log = logging.getLogger(__name__)
-
-
-class StoreClient(NamedTuple):
-    """The parts of a knowledge base that its store uses.
-
-    Attributes:
-        log: the events.
-        snapshot: returns all that is known, with so many measurements of each attribute.
-        restore: begins with a snapshot, the events after it, and the number of the last event.
-        abandon: ends what was under way at a time [s]; returns the actions that are left.
-        record_message: records how the store is.
-    """
-
-    log: Log
-    snapshot: Callable[[int], dict[str, Any]]
-    restore: Callable[..., None]
-    abandon: Callable[[float], tuple[str, ...]]
-    record_message: Callable[[str], None]
 
 
 class StoreError(KnowledgeBaseError):
@@ -79,9 +79,7 @@ class Store:
         saved: number of the last event that is certainly on disk.
         error: why nothing is saved now; None while there is no error.
         left: actions that an earlier program left required; a task layer resumes or cancels them.
-        model: the model that the events are about.
-        time: time of the last event in the file when it was opened [s].
-        keep: how many measurements of each attribute are kept.
+        serials: the numbers of the model's elements without a name.
 
     Raises:
         InvalidValue: the path is not a path.
@@ -89,145 +87,133 @@ class Store:
             of another model.
     """
 
-    def __init__(self, path: str | Path, model: Model | None, keep: int = KEPT) -> None:
+    def __init__(self, path: str | Path, model: Model, keep: int) -> None:
         if not isinstance(path, str | Path) or not str(path):
             raise InvalidValue(f"a store is the path of a file, or None for none, not {path!r}")
         self.path = Path(path)
-        self.keep = keep
         self.error: str | None = None
         self.left: tuple[str, ...] = ()
-        self._using = threading.Lock()  # held while the file is used
-        self._progress = threading.Condition()
-        self._wake = threading.Event()
+        self._keep = keep
+        self._snapshot_number = 0
+        self._progress = Condition()
+        self._wake = Signal()
         self._is_stopping = self._is_closed = self._is_given_up = False
         self._owner = os.getpid()
-        self._thread: threading.Thread | None = None
-        self._client: StoreClient
-        self._lock: Any = None
-        self._connection = connect(self.path, is_new_allowed=model is not None)
+        self._connection = connect(self.path, is_new_allowed=True)
         try:
             self._read(model)
-        except sqlite3.Error as error:
+        except BaseException as error:
             self._connection.close()
-            raise damaged(self.path, error) from None
-        except BaseException:
-            self._connection.close()
+            if isinstance(error, sqlite3.Error):
+                raise damaged(self.path, error) from None
             raise
-        LOCKS_HELD_OVER_FORKS[self._using] = _LONGEST_FORK_WAIT_S
 
-    def _read(self, model: Model | None) -> None:
-        about = dict(self._connection.execute("SELECT name, value FROM about"))
-        if not about and model is not None:
-            self._write_about("model", _declared(model))
-            about["model"] = _declared(model)
+    def _read(self, model: Model) -> None:
+        connection = self._connection
+        about = dict(connection.execute("SELECT name, value FROM about"))
+        if not about:
+            about["model"] = json.dumps(model.plain())
+            connection.execute(_ABOUT, ("model", about["model"]))
         if about.get("is_open") == "1":
-            ((verdict,),) = self._connection.execute("PRAGMA integrity_check(1)")
-            if verdict != "ok":
-                raise damaged(self.path, verdict)
-        last = self._connection.execute(
-            "SELECT number, time FROM events ORDER BY number DESC LIMIT 1"
-        ).fetchone()
-        snapshot = self._connection.execute(
-            "SELECT number, time, data FROM snapshots ORDER BY number DESC LIMIT 1"
-        ).fetchone()
-        self._snapshot_number = 0 if snapshot is None else snapshot[0]
-        self._snapshot = None if snapshot is None else snapshot[2]
-        self.saved = self._written = 0 if last is None else last[0]
-        self.time = 0.0 if last is None else last[1]
+            check_integrity(connection, self.path)
+        ((last,),) = connection.execute("SELECT max(number) FROM events")
         self.is_new = last is None
-        self.model, self.serials = self._matched(model, about["model"])
+        self.saved: int = last or 0
+        self.serials = self._matched(model, json.loads(about["model"]))
 
-    def _matched(self, model: Model | None, declared: str) -> tuple[Model, Serials]:
-        """Return the model to continue with, amended as in the file, and its serial numbers."""
+    def _matched(self, model: Model, declared: Any) -> Serials:  # noqa: ANN401  # what JSON holds
+        """Amend a model as it is in the file; return the numbers of its elements without a name."""
         rows = self._connection.execute(
             "SELECT data FROM events WHERE verb = 'amend' ORDER BY number"
         )
         amendments = [json.loads(data)["arguments"] for (data,) in rows]
-        if model is not None and declared == _declared(model):
+        if declared == json.loads(json.dumps(model.plain())):
             serials = Serials.of(model)
             for amendment in amendments:
                 amend(model, serials, *amendment)
-            return model, serials
-        then, numbers = rebuilt(json.loads(declared), amendments)
-        if model is None:
-            return then, numbers
+            return serials
+        then, numbers = rebuilt(declared, amendments)
         alike = amended_alike(then, numbers, model)
         if alike is not None:
-            return model, alike
+            return alike
         raise StoreError(
             f"{self.path}: the store is of another model: {'; '.join(differences(then, model))}. "
             "Give that model, or name another file"
         )
 
-    # ---------------------------------------------------------------- read
+    def restored(self, network: Network) -> tuple[Any, list[Event]]:
+        """Return the last snapshot, about the nodes of a network, and the events after it."""
+        row = self._connection.execute("SELECT number, data FROM snapshots").fetchone()
+        snapshot = None
+        if row is not None:
+            self._snapshot_number = row[0]
+            snapshot = _Unpickler(row[1], network).load()
+        return snapshot, list(events_in(self._connection, self._snapshot_number))
 
-    def restore(self, client: StoreClient, now: float) -> None:
-        """Restore what is in the file; open plans and attempts end now [s] as "abandoned"."""
-        snapshot = None if self._snapshot is None else json.loads(self._snapshot)
-        self._snapshot = None
-        client.restore(snapshot, self.events(self._snapshot_number), self.saved, self.serials)
-        self.left = client.abandon(now)
-
-    def events(self, after: int = 0, most: int = -1, *, measurements: bool = True) -> list[Event]:
-        """Return at most `most` events of the file after a number, with or without measurements."""
-        self.check_owner()
-        only = "" if measurements else "AND verb <> 'measure'"
-        query = (
-            f"SELECT number, time, verb, data FROM events WHERE number > ? {only} "
-            "ORDER BY number LIMIT ?"
-        )
-        with self._using:
-            if self._is_closed:
-                return []
-            return [_event(*row) for row in self._connection.execute(query, (after, most))]
-
-    def check_owner(self) -> None:
-        """Raise StoreError in a process that was forked from the one that opened the store."""
+    def check_open(self) -> None:
+        """Raise an error if nothing more can be recorded here."""
         if os.getpid() != self._owner:
             raise StoreError(
                 f"{self.path}: the store is open in the process that this one was forked from, "
                 "which goes on with it. Make a knowledge base with a store of its own here"
             )
+        if self._is_stopping:
+            raise KnowledgeBaseError(
+                "this knowledge base is closed: its store is given back, so nothing more can be "
+                "recorded. Record before you close it, or make a new one of the same model and store"
+            )
 
     # ---------------------------------------------------------------- write
 
-    def start(self, client: StoreClient, lock: Any) -> None:  # noqa: ANN401  # an RLock has no type
-        """Write events from now on."""
-        self._client = client
+    def start(
+        self,
+        log: Log,
+        lock: Any,  # noqa: ANN401  # an RLock has no type
+        snapshot: Callable[[], tuple[object, ...]],
+        record_message: Callable[[str], None],
+    ) -> None:
+        """Write events from now on.
+
+        Args:
+            log: the events.
+            lock: that of the base, which is held while the log is read.
+            snapshot: returns all that is known.
+            record_message: records how the store is.
+        """
+        self._log = log
         self._lock = lock
-        self._most_waiting = max(1, min(_MOST_WAITING, client.log.capacity // 2))
+        self._snapshot = snapshot
+        self._record_message = record_message
         try:
-            self._write_about("is_open", "1")
+            self._connection.execute(_ABOUT, ("is_open", "1"))
         except sqlite3.Error as error:
             raise StoreError(f"{self.path}: it cannot be written: {error}") from None
-        client.log.heard = self._wake.set
         self._begin()
 
     def _begin(self) -> None:
-        name = f"store {self.path.name}"
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread = Thread(target=self._run, name=f"store {self.path.name}", daemon=True)
         self._thread.start()
         self._wake.set()
 
-    def wait_for_room(self, last: int) -> None:
-        """Wait while too many events up to this number are not saved, unless saving fails."""
-        if last - self.saved <= self._most_waiting or os.getpid() != self._owner:
-            return
-        with self._progress:
-            self._progress.wait_for(
-                lambda: last - self.saved <= self._most_waiting or self.error or self._is_closed
-            )
+    def proceed(self, last: int) -> None:
+        """Write what is new, and wait while too many events up to this number are not saved."""
+        self._wake.set()
+        if last - self.saved > _MOST_WAITING and os.getpid() == self._owner:
+            self._wait(last - _MOST_WAITING)
 
     def flush(self, timeout: float | None = None) -> bool:
         """Wait, at most for a timeout [s], until all events so far are on disk."""
-        self.check_owner()
-        wanted = self._client.log.last
-        self._wake.set()
+        last = self._log.last
+        if os.getpid() == self._owner:
+            self._wake.set()
+            self._wait(last, timeout)
+        return self.saved >= last
+
+    def _wait(self, number: int, timeout: float | None = None) -> None:
         with self._progress:
             self._progress.wait_for(
-                lambda: self.saved >= wanted or self.error or self._is_closed, timeout
+                lambda: self.saved >= number or self.error or self._is_closed, timeout
             )
-        return self.saved >= wanted
 
     def close(self) -> None:
         """Save all events and close the file.
@@ -236,127 +222,104 @@ class Store:
             StoreError: some events could not be saved. The store keeps trying: make room on the
                 disk and close again.
         """
-        if self._is_closed or self._is_stopping or os.getpid() != self._owner:
-            return
-        self._is_stopping = True
+        with self._lock:
+            if self._is_stopping or os.getpid() != self._owner:
+                return
+            self._is_stopping = True
         self._wake.set()
-        if self._thread is threading.current_thread():
-            return  # it dropped the last reference to the base, and ends by itself
-        if self._thread is not None:
-            self._thread.join()
-            unsaved = self._client.log.last - self.saved
-            if unsaved:
-                if not self._is_given_up:
-                    self._is_stopping = False
-                    self._begin()
-                    advice = "are not saved; make room, and close it again"
-                else:
-                    self._end()
-                    advice = "are lost"
-                raise StoreError(f"{self.error}. {unsaved} events {advice}")
-        self._end()
-
-    def _end(self) -> None:
-        with self._using, suppress(sqlite3.Error):
-            if self._thread is not None and self.error is None:
-                self._write_about("is_open", "0")
+        self._thread.join()
+        unsaved = self._log.last - self.saved
+        if unsaved and not self._is_given_up:
+            self._is_stopping = False
+            self._begin()
+            advice = "are not saved; make room, and close it again"
+            raise StoreError(f"{self.error}. {unsaved} events {advice}")
+        with suppress(sqlite3.Error):
+            if self.error is None:
+                self._connection.execute(_ABOUT, ("is_open", "0"))
                 self._connection.execute("PRAGMA journal_mode=DELETE")
             self._connection.close()
-        self._is_closed = True
         with self._progress:
+            self._is_closed = True
             self._progress.notify_all()
+        if unsaved:
+            raise StoreError(f"{self.error}. {unsaved} events are lost")
 
     def _run(self) -> None:
         while not self._is_given_up:
             self._wake.wait(_RETRY_S if self.error else None)
             self._wake.clear()
-            if not self._is_stopping:
+            is_last = self._is_stopping  # nothing is recorded any more but how the store is
+            if not is_last:
                 time.sleep(_BATCH_PAUSE_S)
-            is_last = self._is_stopping  # there may be more if `close` is called during the write
             self._write()
-            if is_last and (self.error or self.saved == self._client.log.last):
-                break
             if is_last:
+                if self.error or self.saved == self._log.last:
+                    return
                 self._wake.set()
-        if self._is_stopping and self._thread is threading.current_thread() and not self.error:
-            return
 
     def _write(self) -> None:
         """Write the new events; if that fails, the file is as before."""
         with self._lock:
-            self._client.log.settle()
-            last = self._client.log.last
-            batch = list(self._client.log.since(self._written))
-            snapshot = self._next_snapshot(batch, last)
-        if last == self.saved and snapshot is None:
-            return
-        is_lost = len(batch) != last - self._written
-        if is_lost:
-            self._fail(OSError("too many events wait to be saved"), is_given_up=True)
+            self._log.catch_up()  # what was interrupted ends
+            last = self._log.last
+            batch = list(self._log.since(self.saved))
+            snapshot = None
+            since = last - self._snapshot_number
+            is_long_ago = since >= (1000 if self._is_stopping else _SNAPSHOT_AFTER)
+            if is_long_ago or any(event.verb == "amend" for event in batch):
+                snapshot = _pickled(self._snapshot())
+        was_wrong = self.error is not None
+        if len(batch) != last - self.saved:
+            self._is_given_up = True
+            self._fail("too many events wait to be saved; nothing will be saved any more")
             return
         try:
-            with self._using:
-                self._commit(batch, snapshot)
+            self._commit(batch, last, snapshot)
         except (sqlite3.Error, OSError) as error:
-            self._fail(error, is_given_up=len(batch) > _MOST_LOST)
+            self._fail(f"{error}; it is tried again")
             return
-        was_wrong = self.error is not None
         with self._progress:
-            self._written = self.saved = last
+            self.saved = last
             self.error = None
             self._progress.notify_all()
         if was_wrong:
-            self._say(f"{self.path}: everything is saved again", logging.WARNING)
+            self._tell(f"{self.path}: everything is saved again")
 
-    def _next_snapshot(self, batch: Iterable[Event], last: int) -> tuple[int, float, str] | None:
-        since = last - self._snapshot_number
-        is_amended = any(event.verb == "amend" for event in batch)
-        is_long_ago = since >= (1000 if self._is_stopping else _SNAPSHOT_AFTER)
-        if not (is_amended or is_long_ago):
-            return None
-        data = json.dumps(self._client.snapshot(self.keep), separators=(",", ":"))
-        return last, self._client.log.time, data
-
-    def _commit(self, batch: Iterable[Event], snapshot: tuple[int, float, str] | None) -> None:
-        rows = [_row(event) for event in batch]
+    def _commit(self, batch: list[Event], last: int, snapshot: bytes | None) -> None:
+        if not batch and snapshot is None:
+            return
         connection = self._connection
         try:
             connection.execute("BEGIN")
+            rows = [_row(event) for event in batch]
             connection.executemany("INSERT INTO events VALUES (?, ?, ?, ?, ?)", rows)
             if snapshot is not None:
                 connection.execute("DELETE FROM snapshots")
-                connection.execute("INSERT INTO snapshots VALUES (?, ?, ?)", snapshot)
-                connection.execute(_FORGET_MEASUREMENTS, (self.keep, snapshot[0]))
+                connection.execute("INSERT INTO snapshots VALUES (?, ?)", (last, snapshot))
+                connection.execute(_FORGET_MEASUREMENTS, (self._keep, last))
             connection.execute("COMMIT")
         except BaseException:
             with suppress(sqlite3.Error):
                 connection.execute("ROLLBACK")
             raise
         if snapshot is not None:
-            self._snapshot_number = snapshot[0]
+            self._snapshot_number = last
 
-    def _write_about(self, name: str, value: str) -> None:
-        self._connection.execute("INSERT OR REPLACE INTO about VALUES (?, ?)", (name, value))
-
-    def _fail(self, error: Exception, *, is_given_up: bool) -> None:
-        is_news = self.error is None
-        self._is_given_up = is_given_up
-        what_next = "nothing will be saved any more" if is_given_up else "it is tried again"
-        words = (
-            f"{self.path}: nothing has been saved since event {self.saved}: {error}; {what_next}"
-        )
+    def _fail(self, reason: str) -> None:
+        is_news = self.error is None or self._is_given_up
         with self._progress:
-            self.error = words
+            self.error = f"{self.path}: nothing has been saved since event {self.saved}: {reason}"
             self._progress.notify_all()
-        if is_news or is_given_up:
-            self._say(words, logging.ERROR)
+        if is_news:
+            self._tell(self.error)
 
-    def _say(self, words: str, level: int) -> None:
-        _log.log(level, words)
-        self._client.record_message(words)
+    def _tell(self, words: str) -> None:
+        logging.getLogger(__name__).error(words)
+        self._record_message(words)
 
 
-def connect(path: Path, *, is_new_allowed: bool) -> sqlite3.Connection:
+def connect(path: Path, *, is_new_allowed: bool = False) -> sqlite3.Connection:
     """Open the file of a store, which nobody else may use meanwhile.
 
     Raises:
@@ -369,40 +332,41 @@ def connect(path: Path, *, is_new_allowed: bool) -> sqlite3.Connection:
     connection: sqlite3.Connection | None = None
     try:
         connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=1)
-        connection.execute("PRAGMA locking_mode=EXCLUSIVE")
-        connection.execute("BEGIN EXCLUSIVE")
-        ((application,),) = connection.execute("PRAGMA application_id")
-        ((version,),) = connection.execute("PRAGMA user_version")
-        ((tables,),) = connection.execute("SELECT count(*) FROM sqlite_master")
-        if tables and application != _APPLICATION:
-            raise StoreError(f"{path}: this is no store, but another SQLite database")
-        if tables and version != _FORMAT:
-            raise StoreError(
-                f"{path}: the store has format {version}, and this version reads {_FORMAT}; "
-                "name another file"
-            )
-        if not tables:
-            for statement in _TABLES.split(";"):
-                connection.execute(statement)
-            connection.execute(f"PRAGMA application_id={_APPLICATION}")
-            connection.execute(f"PRAGMA user_version={_FORMAT}")
-        connection.execute("COMMIT")
-        connection.execute("PRAGMA journal_mode=WAL")
-        connection.execute("PRAGMA synchronous=FULL")
-    except sqlite3.OperationalError as error:
+        _prepare(connection, path)
+    except BaseException as error:
         if connection is not None:
             connection.close()
-        what = "it is in use by another program" if "locked" in str(error) else str(error)
-        raise StoreError(f"{path}: the store cannot be opened: {what}") from None
-    except sqlite3.DatabaseError as error:
-        if connection is not None:
-            connection.close()
-        raise damaged(path, error) from None
-    except BaseException:
-        if connection is not None:
-            connection.close()
+        if isinstance(error, sqlite3.OperationalError):
+            what = "it is in use by another program" if "locked" in str(error) else str(error)
+            raise StoreError(f"{path}: the store cannot be opened: {what}") from None
+        if isinstance(error, sqlite3.DatabaseError):
+            raise damaged(path, error) from None
         raise
     return connection
+
+
+def _prepare(connection: sqlite3.Connection, path: Path) -> None:
+    """Make the tables of a new file; refuse one that is not a store of this format."""
+    connection.execute("PRAGMA locking_mode=EXCLUSIVE")
+    connection.execute("BEGIN EXCLUSIVE")
+    ((application,),) = connection.execute("PRAGMA application_id")
+    ((version,),) = connection.execute("PRAGMA user_version")
+    ((tables,),) = connection.execute("SELECT count(*) FROM sqlite_master")
+    if tables and application != _APPLICATION:
+        raise StoreError(f"{path}: this is no store, but another SQLite database")
+    if tables and version != _FORMAT:
+        raise StoreError(
+            f"{path}: the store has format {version}, and this version reads {_FORMAT}; "
+            "name another file"
+        )
+    if not tables:
+        for statement in _TABLES.split(";"):
+            connection.execute(statement)
+        connection.execute(f"PRAGMA application_id={_APPLICATION}")
+        connection.execute(f"PRAGMA user_version={_FORMAT}")
+    connection.execute("COMMIT")
+    connection.execute("PRAGMA journal_mode=WAL")
+    connection.execute("PRAGMA synchronous=FULL")
 
 
 def damaged(path: Path, what: object) -> StoreError:
@@ -412,17 +376,22 @@ def damaged(path: Path, what: object) -> StoreError:
     )
 
 
+def check_integrity(connection: sqlite3.Connection, path: Path) -> None:
+    """Raise StoreError, with SQLite's words, if the file is damaged."""
+    ((verdict,),) = connection.execute("PRAGMA integrity_check(1)")
+    if verdict != "ok":
+        raise damaged(path, verdict)
+
+
 def store_info(path: Path) -> dict[str, object]:
     """Return what is in a store that is not in use, by title.
 
     Raises:
         StoreError: it cannot be opened, or is damaged.
     """
-    with closing(connect(path, is_new_allowed=False)) as connection:
+    with closing(connect(path)) as connection:
         try:
-            ((verdict,),) = connection.execute("PRAGMA integrity_check(1)")
-            if verdict != "ok":
-                raise damaged(path, verdict)
+            check_integrity(connection, path)
             about = dict(connection.execute("SELECT name, value FROM about"))
             counts = connection.execute(
                 "SELECT verb, count(*) FROM events GROUP BY verb ORDER BY verb"
@@ -435,10 +404,9 @@ def store_info(path: Path) -> dict[str, object]:
             raise damaged(path, error) from None
         connection.execute("PRAGMA journal_mode=DELETE")
     model = json.loads(about.get("model", "[]"))
-    titles = [values["name"] for words, values in model if words == "model"]
     return {
         "store": str(path),
-        "model": titles[0] if titles else None,
+        "model": next((values["name"] for words, values in model if words == "model"), None),
         "state": "not closed" if about.get("is_open") == "1" else "closed",
         "last event": last or 0,
         "events kept": kept or "none",
@@ -455,68 +423,52 @@ def backup_store(path: Path, copy: Path) -> None:
     """
     if copy.exists():
         raise StoreError(f"{copy}: this file is there already; name another one")
-    with (
-        closing(connect(path, is_new_allowed=False)) as connection,
-        closing(sqlite3.connect(copy)) as target,
-    ):
+    with closing(connect(path)) as connection, closing(sqlite3.connect(copy)) as target:
         connection.backup(target)
         connection.execute("PRAGMA journal_mode=DELETE")
 
 
+class _Pickler(pickle.Pickler):
+    """Writes a snapshot; the network is left out, since it follows from the model."""
+
+    def persistent_id(self, value: object) -> str | None:
+        return "network" if isinstance(value, Network) else None
+
+
+class _Unpickler(pickle.Unpickler):
+    """Reads a snapshot about the nodes of a network; a file can make nothing but what is known."""
+
+    def __init__(self, data: bytes, network: Network) -> None:
+        super().__init__(BytesIO(data))
+        self._network = network
+
+    def persistent_load(self, _: str) -> Network:
+        return self._network
+
+    def find_class(self, module: str, name: str) -> Any:  # noqa: ANN401  # a class or function
+        return _IN_SNAPSHOTS[name]
+
+
+def _pickled(snapshot: object) -> bytes:
+    file = BytesIO()
+    _Pickler(file, pickle.HIGHEST_PROTOCOL).dump(snapshot)
+    return file.getvalue()
+
+
+def events_in(connection: sqlite3.Connection, after: int = 0) -> Iterator[Event]:
+    """Yield the events of a store after a number, in order."""
+    query = "SELECT data FROM events WHERE number > ? ORDER BY number"
+    for (data,) in connection.execute(query, (after,)):
+        values = json.loads(data)
+        plan = values.get("plan")
+        event = Event.from_json(values)
+        yield event._replace(plan=plan and restored(ReconfigurationPlan, plan))
+
+
 def _row(event: Event) -> tuple[int, float, str, str, str]:
-    data: dict[str, object] = {"arguments": plain(event.arguments)}
-    if event.cause is not None:
-        data["cause"] = event.cause
-    if event.effects:
-        data["effects"] = event.effects
-    if event.words:
-        data["words"] = event.words
+    values = event._replace(changes=()).to_json()
     if event.plan is not None:
-        plan = event.plan
-        data["plan"] = {field.name: plain(getattr(plan, field.name)) for field in fields(plan)}
-        data["plan"] |= {"end": None, "result": None}  # type: ignore[operator]  # a mapping
+        values["plan"] = written(event.plan) | {"end": None, "result": None}
     subject = event.subject.encode("utf-8", "replace").decode()
-    text = json.dumps(data, separators=(",", ":"))
-    return event.number, float(event.time), event.verb, subject, text
-
-
-def _event(number: int, at: float, verb: str, text: str) -> Event:
-    data = json.loads(text)
-    written = data.pop("plan", None)
-    event = Event.from_json({"number": number, "time": at, "verb": verb, **data})
-    if written is None:
-        return event
-    for name in ("activate", "deactivate", "parameters"):
-        written[name] = tuple(written[name])
-    written["plain"] = frozenset(written["plain"])
-    return event._replace(plan=ReconfigurationPlan(**written))
-
-
-def _declared(model: Model) -> str:
-    return json.dumps(model.plain())
-
-
-# -------------------------------------------------------------------- forks
-
-LOCKS_HELD_OVER_FORKS: Final[WeakKeyDictionary[Any, float]] = WeakKeyDictionary()
-"""The locks that are taken before a fork, and how long it waits for each [s]; -1 without a limit.
-
-If another thread held the lock of a knowledge base at a fork, the child could never use that base.
-"""
-_held_locks: list[Any] = []
-
-
-def _hold_locks() -> None:
-    for lock, longest in tuple(LOCKS_HELD_OVER_FORKS.items()):
-        if lock.acquire(timeout=longest):
-            _held_locks.append(lock)
-
-
-def _release_locks() -> None:
-    while _held_locks:
-        _held_locks.pop().release()
-
-
-os.register_at_fork(
-    before=_hold_locks, after_in_parent=_release_locks, after_in_child=_release_locks
-)
+    data = json.dumps(values, separators=(",", ":"))
+    return event.number, float(event.time), event.verb, subject, data

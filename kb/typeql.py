@@ -1,105 +1,191 @@
 """Reads models from TypeQL 2 files, in the words of ROSA; imported late, for it needs lark.
 
-A file is read in steps: `kb.typeql_syntax` (text to statements), here statements to things, which
-are entities and relations with attributes and players, and things to a model: first the elements,
-in order, then the facts from the start. Types, roles and attributes are ROSA's, in all spellings
-of `typeql.toml`. `match ... insert` finds things of earlier files by type and name.
+A file becomes statements, by the grammar in `typeql.lark`; these become things, which are entities
+and relations with attributes and players; and things become a model: first the elements, in order,
+then the facts from the start. `typeql.toml` has ROSA's types, roles and attributes in all their
+spellings. `match ... insert` finds things of earlier files by type and name.
 """
 
-import ast
 import math
 import re
 import tomllib
 from collections import defaultdict
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from functools import cache
-from importlib.resources import files
-from itertools import count
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
+from lark import Lark, Token, Transformer, UnexpectedCharacters, UnexpectedToken, v_args
+
 from kb import elements, facts
-from kb.elements import Attribute, Component, Configuration, Constraint, Element, finite_number
+from kb.elements import Configuration, Constraint, Element, finite_number
 from kb.exceptions import UnknownName
 from kb.facts import Fact
-from kb.files import DuplicateInFile, Place, read_text
+from kb.files import DuplicateInFile, ModelFileError, Place, read_text
 from kb.status import STATUSES, Status
-from kb.typeql_syntax import Insert, Literal, Statement, Word, parse, place_of
 
 ModelT = TypeVar("ModelT", bound=facts.Contents)
+Literal = bool | int | float | str | datetime
+
+WORDS: Final[Mapping[str, Any]] = tomllib.loads(
+    Path(__file__).with_name("typeql.toml").read_text(encoding="utf-8")
+)
+
+# ---------------------------------------------------------------- statements
+
+_CHANGING: Final = ("delete", "update", "undefine")
+_READING: Final = ("get", "fetch", "aggregate", "group", "sort", "limit", "offset", *_CHANGING)
+_ESCAPED: Final = {"n": "\n", "t": "\t", "r": "\r", "0": "\0", "\\": "\\", '"': '"', "'": "'"}
+
+
+class Has(NamedTuple):
+    """`has LABEL value`."""
+
+    label: Token
+    value: Literal
+
+
+class Player(NamedTuple):
+    """`role: $variable`; a role that is left out follows from the type."""
+
+    role: Token | None
+    variable: Token
+
+
+Clause = Token | Has | list[Player]
+"""What a statement says: a type, an attribute, or who takes part."""
+
+
+class Statement(NamedTuple):
+    """What is stated about a variable, or about a relation without one; its first word."""
+
+    word: Token
+    clauses: list[Clause]
+
+
+Query = tuple[list[Statement], list[Statement]]
+"""The statements that are matched, and those that are inserted."""
+
+
+class _WrongWord(Exception):
+    """A word that the grammar allows and a model file may not have."""
+
+    def __init__(self, word: Token, message: str) -> None:
+        self.word = word
+        super().__init__(message)
+
+
+@v_args(inline=True)
+class _Statements(Transformer[Token, list[Query]]):
+    """Makes queries of what the parser finds."""
+
+    def start(self, *queries: Query | None) -> list[Query]:
+        return [query for query in queries if query is not None]
+
+    def define(self, *_: object) -> None:
+        return None
+
+    def insert(self, *statements: Statement) -> Query:
+        return [], list(statements)
+
+    def match(self, *statements: Any) -> Query:  # noqa: ANN401  # the last is an insert
+        *patterns, (_, inserted) = statements
+        return patterns, inserted
+
+    def named(self, variable: Token, *clauses: Clause) -> Statement:
+        return Statement(variable, list(clauses))
+
+    def unnamed(self, players: list[Player], *clauses: Clause) -> Statement:
+        word = players[0].variable
+        return Statement(word.update(value=""), [players, *clauses])
+
+    def isa(self, label: Token) -> Token:
+        return label
+
+    def has(self, label: Token, value: Token) -> Has:
+        return Has(label, _literal(value))
+
+    def players(self, *players: Player) -> list[Player]:
+        return list(players)
+
+    def player(self, *words: Token) -> Player:
+        role = words[-2] if len(words) > 1 and words[-2].type == "NAME" else None
+        return Player(role, words[-1])
+
+
+def _literal(word: Token) -> Literal:
+    """Return the value of a literal; a date without a zone is in UTC."""
+    text = str(word)
+    if word.type == "TEXT":
+        return re.sub(r"\\(u[0-9a-fA-F]{4}|[\s\S])", _unescaped, text[1:-1])
+    if word.type == "BOOLEAN":
+        return text == "true"
+    try:
+        if word.type == "DATE":
+            moment = datetime.fromisoformat(text)
+            return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+        return int(text) if re.fullmatch(r"[+-]?\d+", text) else float(text)
+    except ValueError as error:
+        raise _WrongWord(word, f"`{text:.40}` is not a value: {error!s:.60}") from None
+
+
+def _unescaped(match: re.Match[str]) -> str:
+    what = match[1]
+    return chr(int(what[1:], 16)) if len(what) > 1 else _ESCAPED.get(what, f"\\{what}")
+
+
+@cache
+def _parser() -> Lark:
+    how = {"parser": "lalr", "lexer": "contextual", "transformer": _Statements()}
+    return Lark.open("typeql.lark", rel_to=__file__, **how)
+
+
+def parse(text: str, file: str) -> list[Query]:
+    """Read the queries of a file.
+
+    Raises:
+        ModelFileError: the text is no TypeQL, or changes or reads a database.
+    """
+    try:
+        return _parser().parse(text)  # type: ignore[return-value]  # made by _Statements
+    except _WrongWord as wrong:
+        raise _place(file, wrong.word).error(str(wrong)) from None
+    except UnexpectedCharacters as error:
+        word = text[error.pos_in_stream or 0]
+        raise _unexpected(word, error.allowed, file, error.line, error.column) from None
+    except UnexpectedToken as error:
+        line = error.line
+        column = error.column
+        if error.token.type == "$END":
+            line = text.count("\n") + 1
+            column = len(text) - text.rfind("\n")
+        allowed = error.accepts or error.expected
+        raise _unexpected(str(error.token), allowed, file, line, column) from None
+
+
+def _unexpected(
+    word: str, allowed: Iterable[str], file: str, line: int, column: int
+) -> ModelFileError:
+    names = sorted({name.strip("_").lower() for name in allowed} - {"$end"})
+    message = f"unexpected `{word:.40}`" if word else "the file ends here"
+    message += f"; expected {', '.join(names)}"
+    if word in _READING:
+        does = "changes" if word in _CHANGING else "reads"
+        message = f"`{word}` {does} a database; a model file only states: use `insert`"
+    return ModelFileError(message, file, line, column)
+
+
+def _place(file: str, word: Token) -> Place:
+    return Place(file, word.line or 1, word.column or 1)
+
 
 # ---------------------------------------------------------------- words
 
-_WORDS: Final[dict[str, Any]] = tomllib.loads(
-    files("kb").joinpath("typeql.toml").read_text(encoding="utf-8")
-)
-_QUALIFIERS: Final = frozenset(_WORDS["qualifiers"].split())
-_KINDS: Final[Mapping[str, str]] = {
-    "QualityAttribute": elements.AttributeKind.QUALITY,
-    "EnvironmentalAttribute": elements.AttributeKind.ENVIRONMENTAL,
-    "Component": elements.ComponentKind.PLAIN,
-    "ROSNode": elements.ComponentKind.PROCESS,
-    "LifeCycleNode": elements.ComponentKind.LIFECYCLE,
-}
-"""The kind of attribute or component for each type of things."""
-_VALUES: Final[Mapping[str, tuple[str, tuple[type, ...]]]] = {
-    "text": ("a text in quotes", (str,)),
-    "flag": ("true or false", (bool,)),
-    "whole": ("a whole number", (int,)),
-    "number": ("a number", (int, float)),
-    "time": ("a date and time such as 2024-05-01T12:30:00", (datetime,)),
-    "any": ("a text, a number or true or false", (str, bool, int, float)),
-}
-"""The sorts of values of attributes: their words in messages, and their Python types."""
 
-
-class Field(NamedTuple):
-    """An attribute of a kind of thing: the field of an element, the sort of value, its spellings."""
-
-    name: str
-    value: str
-    words: tuple[str, ...]
-
-
-class Role(NamedTuple):
-    """A role in a relation: the field that it fills, the kinds of its players, its spellings.
-
-    A `most` of 0 means any number of players.
-    """
-
-    name: str
-    field: str
-    kinds: tuple[str, ...]
-    words: tuple[str, ...]
-    least: int
-    most: int
-
-
-def _role(
-    name: str, words: str, by: list[str], field: str = "", least: int = 1, most: int = 0
-) -> Role:
-    for group, members in _WORDS["groups"].items():
-        words = words.replace(f"@{group}", members)
-    return Role(name, field, tuple(by), tuple(words.split()), least, most)
-
-
-ROLES: Final[Mapping[str, tuple[Role, ...]]] = {
-    kind: tuple(_role(name, **given) for name, given in roles.items())
-    for kind, roles in _WORDS["roles"].items()
-}
-ATTRIBUTES: Final[Mapping[str, tuple[Field, ...]]] = {
-    kind: tuple(Field(name, value, tuple(words.split())) for name, value, words in own.values())
-    for kind, own in _WORDS["attributes"].items()
-}
-_CLASSES: Final[Mapping[type, str]] = {
-    cls: kind
-    for cls, words in facts.ROSA.items()
-    if (kind := words.replace(" ", "-")) in {*ROLES, *ATTRIBUTES}
-}
-"""The kind of each class of elements and facts; each comes after those that it refers to."""
+def _plain(label: str) -> str:
+    return label.replace("-", "").replace("_", "").lower()
 
 
 class Type(NamedTuple):
@@ -109,114 +195,69 @@ class Type(NamedTuple):
     kind: str
 
 
-@cache
-def _types() -> dict[str, Type]:
-    """Return ROSA's types by their labels without capitals, `-` and `_`."""
-    types = {_plain(kind): Type(kind, kind) for kind in ROLES}
-    for label, above in _WORDS["entities"].items():
-        is_type = above[0].isupper()
-        types[_plain(label)] = Type(label, types[_plain(above)].kind if is_type else above)
-    for alias, label in _WORDS["aliases"].items():
-        types[_plain(alias)] = types[_plain(label)]
-    return types
+_LABELS: Final = {**{kind: kind for kind in WORDS["roles"]}, **WORDS["types"]}
+TYPES: Final = {
+    _plain(label): Type(label, kind) for kind, labels in _LABELS.items() for label in labels.split()
+}
+"""ROSA's types by their labels without capitals, `-` and `_`."""
 
 
-def type_of(label: Word | str, place: Place) -> Type:
-    types = _types()
-    found = types.get(_plain(label))
-    if found is None:
-        known = dict.fromkeys(each.label for each in types.values())
+def _type_of(label: Token, place: Place) -> Type:
+    if _plain(label) not in TYPES:
+        known = [each.label for each in TYPES.values()]
         raise place.error(str(UnknownName("type", str(label), known)))
-    return found
-
-
-def roles_of(of: Type, word: Word, place: Place) -> tuple[Role, ...]:
-    """Return the roles that a word can mean."""
-    every = ROLES.get(of.kind, ())
-    name = _dashed(word)
-    while name:
-        names = {name, name.removesuffix("s")}
-        roles = tuple(role for role in every if names & {*role.words})
-        if roles:
-            return roles
-        first, _, rest = name.partition("-")
-        name = rest if first in _QUALIFIERS else ""
-    known = [role.name for role in every]
-    error = UnknownName(f"role of {of.label}", str(word), known)
-    raise place.error(f"{error} (roles: {', '.join(known)})")
-
-
-def _role_of(of: Type, word: Word | None, player: Type, place: Place) -> Role:
-    """Return the role of a player in a relation, by the word for the role, or else by its type."""
-    every = ROLES.get(of.kind, ())
-    if not every:
-        raise place.error(f"{of.label} is no relation; nothing plays a role in it")
-    candidates = every if word is None else roles_of(of, word, place)
-    fitting = [role for role in candidates if player.kind in role.kinds]
-    if len(fitting) == 1 or (fitting and word is not None):
-        return fitting[0]
-    if fitting:
-        names = ", ".join(role.name for role in fitting)
-        unclear = f"what this {player.label} is in {of.label} is not clear"
-        raise place.error(f"{unclear}; write one of the roles {names}")
-    needed = ", ".join(dict.fromkeys(kind for role in candidates for kind in role.kinds))
-    what = f"role `{word}`" if word else "a player"
-    other = f"not a thing of type {player.label}, as here"
-    raise place.error(f"{what} of {of.label} can be: {needed}; {other}")
+    return TYPES[_plain(label)]
 
 
 @cache
-def field_of(kind: str, label: str) -> Field | None:
-    """Return the attribute of a kind of thing that a label means, by its ending; None for none."""
-    name = f"-{_dashed(label)}"
-    best: tuple[int, Field | None] = (0, None)
-    for each in ATTRIBUTES.get(kind, ()):
-        for word in each.words:
-            if name.endswith(f"-{word}") and len(word) > best[0]:
-                best = (len(word), each)
-    return best[1]
-
-
-def _plain(label: Word | str) -> str:
-    return str(label).replace("-", "").replace("_", "").lower()
-
-
-def _dashed(label: Word | str) -> str:
-    return str(label).replace("_", "-").lower()
+def meanings(label: str, table: str, kind: str) -> list[str]:
+    """Return the roles or attributes of a kind of thing that a label means by its ending."""
+    plural = f"-{label.replace('_', '-').lower()}"
+    lengths: dict[str, int] = {}
+    for name, row in WORDS[table].get(kind, {}).items():
+        fitting = [
+            len(word)
+            for word in row["words"].split()
+            if plural.endswith(f"-{word}") or plural.endswith(f"-{word}s")
+        ]
+        lengths[name] = max(fitting, default=0)
+    longest = max(lengths.values(), default=0)
+    return [name for name, length in lengths.items() if length == longest > 0]
 
 
 # ---------------------------------------------------------------- things
 
-_REPEATABLE: Final = frozenset({"status", "required", "selected", "active"})
+_REPEATABLE: Final = ("status", "required", "selected", "active")
 """The attributes that may be stated again: they are facts, and the last statement counts."""
+_VALUES: Final[Mapping[str, tuple[str, tuple[type, ...]]]] = {
+    "text": ("a text in quotes", (str,)),
+    "flag": ("true or false", (bool,)),
+    "whole": ("a whole number", (int,)),
+    "number": ("a number", (int, float)),
+    "time": ("a date and time such as 2024-05-01T12:30:00", (datetime,)),
+    "any": ("a text, a number or true or false", (str, bool, int, float)),
+}
+"""The sorts of values: their words in messages, and their Python types."""
 
 
 class Own(NamedTuple):
-    """An attribute of a thing, in the order of its statement; nameless if ROSA does not have it."""
+    """The value of an attribute, and its place in the order of all statements."""
 
-    name: str
     label: str
-    value: Literal
+    value: Any
     place: Place
     order: int
 
 
-class Part(NamedTuple):
-    """A role that a thing plays in a relation; None in a relation that ROSA does not know."""
-
-    role: Role | None
-    thing: "Thing"
-
-
 @dataclass(slots=True, eq=False)
 class Thing:
-    """An entity or relation that a file inserts."""
+    """An entity or relation that a file inserts; its attributes and players by ROSA's names."""
 
     type: Type
     place: Place
-    order: int = 0
-    owns: list[Own] = field(default_factory=list)
-    parts: list[Part] = field(default_factory=list)
+    order: int
+    owns: dict[str, Own] = field(default_factory=dict)
+    players: dict[str, list["Thing"]] = field(default_factory=lambda: defaultdict(list))
 
     @property
     def kind(self) -> str:
@@ -224,522 +265,401 @@ class Thing:
 
     @property
     def name(self) -> str:
-        own = self.own("name")
-        if own is None:
-            write = f"write `has {self.kind}-name '...'`"
-            raise self.place.error(f"this {self.type.label} has no name; {write}")
-        return str(own.value)
+        return str(self.required("name"))
 
-    def own(self, name: str) -> Own | None:
-        """Return the attribute of a name that was stated last."""
-        return next((own for own in reversed(self.owns) if own.name == name), None)
+    def value(self, name: str, default: Any = None) -> Any:  # noqa: ANN401  # of any attribute
+        return self.owns[name].value if name in self.owns else default
 
-    def value(self, name: str) -> Literal | None:
-        own = self.own(name)
-        return own.value if own else None
+    def required(self, name: str) -> Any:  # noqa: ANN401  # of any attribute
+        """Return the value of an attribute that must be there."""
+        if name not in self.owns:
+            what = f"this {self.type.label} has no {name}"
+            raise self.place.error(f"{what}; write `has {self.kind}-{name} ...`")
+        return self.owns[name].value
 
-    def players(self, role: str) -> "list[Thing]":
-        return [part.thing for part in self.parts if part.role and part.role.name == role]
+    def names(self, role: str) -> list[str]:
+        return [player.name for player in self.players[role]]
 
 
-class Store:
-    """All things so far, by kind in order and by name; and notes of what was ignored."""
+class Things:
+    """All things so far, by kind in order and by name; and notes of what is ignored."""
 
     def __init__(self) -> None:
-        self.things: dict[str, list[Thing]] = defaultdict(list)
+        self.by_kind: dict[str, list[Thing]] = defaultdict(list)
         self.named: dict[str, dict[str, Thing]] = defaultdict(dict)
         self.notes: list[str] = []
         self._order = 0
-        self._file = ""
 
     def note(self, place: Place, text: str) -> None:
         self.notes.append(f"{place}: {text}")
 
-    def read(self, query: Insert, file: str) -> None:
+    def insert(self, query: Query, file: str) -> None:
         """Insert what a query says; its statements may use a variable before its declaration."""
-        self._file = file
-        things = {str(one.variable): self._matched(one) for one in query.patterns}
-        subjects = [self._declared(things, statement) for statement in query.statements]
-        for statement, declared in zip(query.statements, subjects, strict=True):
+        patterns, statements = query
+        things = {str(pattern.word): self._matched(pattern, file) for pattern in patterns}
+        subjects: list[Thing | None] = []
+        for word, clauses in statements:
+            types = [clause for clause in clauses if isinstance(clause, Token)]
+            subjects.append(None)
+            for label in types:
+                place = _place(file, label)
+                if str(word) in things or len(types) > 1:
+                    raise place.error(f"`{word}` has a type already; a thing has one")
+                thing = Thing(_type_of(label, place), place, 0)
+                self.by_kind[thing.kind].append(thing)
+                subjects[-1] = thing
+                if word:
+                    things[str(word)] = thing
+
+        def resolve(variable: Token) -> Thing:
+            if variable not in things:
+                unknown = UnknownName("variable", str(variable), things)
+                what = f"{unknown}; a type is given by `{variable} isa ...`"
+                raise _place(file, variable).error(what)
+            return things[variable]
+
+        for (word, clauses), subject in zip(statements, subjects, strict=True):
             self._order += 1
-            thing = declared or self._thing(things, statement.word)
+            thing = subject or resolve(word)
             thing.order = thing.order or self._order
-            for has in statement.has:
-                self.give(thing, str(has.label), has.value, self._place(has.label))
-            for role, variable in statement.players:
-                player = self._thing(things, variable)
-                self._play(thing, role, player, self._place(role or variable))
+            for clause in clauses:
+                if isinstance(clause, Has):
+                    self.give(thing, str(clause.label), clause.value, _place(file, clause.label))
+                elif isinstance(clause, list):
+                    for role, variable in clause:
+                        self._play(thing, role, resolve(variable), _place(file, role or variable))
+
+    def _matched(self, pattern: Statement, file: str) -> Thing:
+        """Return the thing of a pattern `$x isa TYPE, has NAME 'name'`."""
+        place = _place(file, pattern.word)
+        match pattern.clauses:
+            case [Token() as label, Has() as has]:
+                kind = _type_of(label, place).kind
+            case _:
+                what = "`match` finds things by type and name"
+                raise place.error(f"{what}; write `$x isa Action, has action-name 'explore';`")
+        name = str(has.value)
+        if name not in self.named[kind]:
+            raise place.error(f"`match` finds nothing: {UnknownName(kind, name, self.named[kind])}")
+        return self.named[kind][name]
 
     def give(self, thing: Thing, label: str, value: Literal, place: Place) -> None:
-        meant = field_of(thing.kind, label)
-        if meant is None:
-            known = [each.words[0] for each in ATTRIBUTES.get(thing.kind, ())]
-            error = UnknownName(f"attribute of {thing.type.label}", label, known)
+        """Give a thing an attribute."""
+        rows = WORDS["attributes"].get(thing.kind, {})
+        meant = meanings(label, "attributes", thing.kind)
+        if not meant:
+            error = UnknownName(f"attribute of {thing.type.label}", label, rows)
             self.note(place, f"{error}; ignored")
             return
-        own = Own(meant.name, label, _checked(meant, value, label, place), place, self._order)
-        before = thing.own(meant.name)
-        if before is not None and meant.name not in _REPEATABLE:
-            if before.value != own.value and before.label == label:
-                was = f"{before.value!r} at {before.place}"
-                raise place.error(f"{label} is {own.value!r} here, and {was}")
-            if before.value != own.value:
-                said = f"{before.label} at {before.place} has said it"
-                self.note(place, f"{label} is ignored: {said}")
+        name = rows[meant[0]]["field"]
+        words, allowed = _VALUES[rows[meant[0]]["sort"]]
+        is_flag = isinstance(value, bool) and bool not in allowed
+        if is_flag or not isinstance(value, allowed):
+            raise place.error(f"{label} is {words}, not {value!r:.60}")
+        if isinstance(value, float) and not math.isfinite(value):
+            raise place.error(f"{label} is a finite number, not {value!r}")
+        if isinstance(value, datetime):
+            value = value.timestamp()
+        before = thing.owns.get(name)
+        if before and name not in _REPEATABLE and before.value != value:
+            said = f"{before.label} is {before.value!r} at {before.place}"
+            if before.label == label:
+                raise place.error(f"{label} is {value!r} here, and {said}")
+            self.note(place, f"{label} is ignored: {said}")
             return
-        thing.owns.append(own)
-        if meant.name == "name":
-            first = self.named[thing.kind].setdefault(str(own.value), thing)
+        thing.owns[name] = Own(label, value, place, self._order)
+        if name == "name":
+            first = self.named[thing.kind].setdefault(str(value), thing)
             if first is not thing:
-                what = f"{thing.kind} {own.value!r} is declared already at {first.place}"
+                what = f"{thing.kind} {value!r} is declared already at {first.place}"
                 raise DuplicateInFile(f"{what}; a name is unique", *place)
 
-    def _matched(self, pattern: Statement) -> Thing:
-        """Return the thing of a pattern `$x isa TYPE, has NAME 'name'`."""
-        place = self._place(pattern.word)
-        wanted = None if pattern.isa is None else type_of(pattern.isa, self._place(pattern.isa))
-        names = [
-            has.value
-            for has in pattern.has
-            if wanted and (meant := field_of(wanted.kind, str(has.label))) and meant.name == "name"
-        ]
-        is_plain = pattern.variable is not None and len(names) == len(pattern.has) == 1
-        if wanted is None or not is_plain:
-            what = "`match` finds things by type and name"
-            raise place.error(f"{what}; write `$x isa Action, has action-name 'explore';`")
-        known = self.named[wanted.kind]
-        if str(names[0]) not in known:
-            error = UnknownName(wanted.kind, names[0], known)
-            raise place.error(f"`match` finds nothing: {error}")
-        return known[str(names[0])]
+    def _play(self, thing: Thing, word: Token | None, player: Thing, place: Place) -> None:
+        """Let a player take part in a relation, in the role of a word or that of its type."""
+        rows = WORDS["roles"].get(thing.kind, {})
+        names = list(rows) if word is None else meanings(word, "roles", thing.kind)
+        fitting = [name for name in names if player.kind in rows[name]["by"]]
+        if not fitting or (word is None and len(fitting) > 1):
+            roles = [f"{name} ({' or '.join(row['by'])})" for name, row in rows.items()]
+            what = f"{thing.type.label} has no clear role for type {player.type.label}"
+            if word is not None and not names:
+                what = str(UnknownName(f"role of {thing.type.label}", str(word), rows))
+            raise place.error(f"{what}; roles: {', '.join(roles) or 'none'}")
+        (role, *_) = fitting
+        if thing.players[role] and rows[role].get("most") == 1:
+            raise place.error(f"a second {role}; a {thing.type.label} has one")
+        thing.players[role].append(player)
 
-    def _declared(self, things: dict[str, Thing], statement: Statement) -> Thing | None:
-        """Return the thing that a statement declares; None if it declares none."""
-        if statement.isa is None:
-            return None
-        name = statement.variable
-        if name in things:
-            before = f"{name} already has the type {things[name].type.label}"
-            why = f"{before}, at {things[name].place}; a thing has one"
-            raise self._place(statement.word).error(why)
-        place = self._place(statement.isa)
-        thing = Thing(type_of(statement.isa, place), place)
-        self.things[thing.kind].append(thing)
-        if name:
-            things[name] = thing
-        return thing
+    def complete(self) -> None:
+        """Refuse relations that lack a part, and name those that need a name."""
+        for kind, roles in WORDS["roles"].items():
+            for thing in self.by_kind[kind]:
+                for role, row in roles.items():
+                    only_states = "status" in thing.owns and kind == "constraint"
+                    if row.get("least", 1) > len(thing.players[role]) and not only_states:
+                        write = f"write ({role}: $x, ...)"
+                        raise thing.place.error(f"this {thing.type.label} has no {role}; {write}")
+        for kind, owner in (
+            ("function-design", "function"),
+            ("component-configuration", "component"),
+        ):
+            for thing in self.by_kind[kind]:
+                if "name" not in thing.owns:
+                    name = self.unused(kind, f"{thing.names(owner)[0]} {kind.split('-')[1]}")
+                    self.give(thing, "name", name, thing.place)
+                    self.note(thing.place, f"this {kind} has no name; it is called {name!r}")
 
-    def _play(self, thing: Thing, word: Word | None, player: Thing, place: Place) -> None:
-        role = _role_of(thing.type, word, player.type, place)
-        if role.most and len(thing.players(role.name)) >= role.most:
-            raise place.error(f"a second {role.name}; a {thing.type.label} has one")
-        thing.parts.append(Part(role, player))
-
-    def _thing(self, things: dict[str, Thing], word: Word) -> Thing:
-        if str(word) not in things:
-            unknown = f"unknown variable '{word}'"
-            what = str(UnknownName("variable", str(word), things)) if things else unknown
-            raise self._place(word).error(f"{what}; a type is given by `{word} isa ...`")
-        return things[str(word)]
-
-    def _place(self, word: Word) -> Place:
-        return place_of(self._file, word)
-
-
-def shown(value: Literal) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"the date {value.isoformat()}" if isinstance(value, datetime) else f"{value!r:.60}"
-
-
-def _checked(meant: Field, value: Literal, label: str, place: Place) -> Literal:
-    words, allowed = _VALUES[meant.value]
-    if isinstance(value, float) and allowed == (int,) and value.is_integer():
-        return int(value)
-    if not isinstance(value, allowed) or (isinstance(value, bool) and bool not in allowed):
-        raise place.error(f"{label} is {words}, not {shown(value)}")
-    if isinstance(value, float) and not math.isfinite(value):
-        raise place.error(f"{label} is a finite number, not {value!r}")
-    return value
+    def unused(self, kind: str, stem: str) -> str:
+        """Return a name that no thing of a kind has."""
+        number = 1
+        while f"{stem} {number}" in self.named[kind]:
+            number += 1
+        return f"{stem} {number}"
 
 
 # ---------------------------------------------------------------- a model
 
-_STATED: Final = frozenset(
-    {"", "name", "status", "required", "selected", "active", "pid", "value", "time", "latest"}
-)
-"""The attributes that are no fields of an element: facts, its name, and what ROSA does not have."""
-_FLAGS: Final[Mapping[str, Callable[[Any], Fact]]] = {
-    "required": facts.RequiredFact,
-    "selected": facts.SelectedFact,
-    "active": lambda component: facts.ActiveFact(component.name),
-}
-"""The fact that each flag of an element states."""
+_CLASSES: Final = {cls: words.replace(" ", "-") for cls, words in list(facts.ROSA.items())[:8]}
+"""The kind of things for each class of elements; each comes after those that it refers to."""
+_ELEMENTS: Final = ("constrained", "causer")
+"""The fields that hold elements; others hold names."""
+_STATED: Final = ("name", "status", "required", "selected", "active", "pid")
+_MEASURED: Final = ("value", "time", "latest")
 _STEPS: Final = {
-    "component-activation": ("component", "activate", Component),
-    "component-deactivation": ("component", "deactivate", Component),
-    "parameter-adaptation": ("component-configuration", "parameters", Configuration),
+    "activate": ("component-activation", "component"),
+    "deactivate": ("component-deactivation", "component"),
+    "parameters": ("parameter-adaptation", "component-configuration"),
 }
-"""The kinds of steps of a plan: the role in each, the field of the plan, and the class of the players."""
-_RESULTS: Final[Mapping[str, str]] = {
-    **dict.fromkeys(
-        ("completed", "complete", "success", "succeeded", "successful", "done"), "completed"
-    ),
-    **dict.fromkeys(("failed", "failure", "error", "aborted"), "failed"),
-    **dict.fromkeys(("abandoned", "cancelled", "canceled", "interrupted"), "abandoned"),
-}
+"""The kind of the steps for each field of a plan, and the role in each step."""
 
 
 def load_typeql(
     cls: "Callable[[str], ModelT]", files: Sequence[Path], name: str | None
 ) -> "ModelT":
     """Read one model from files; each may add to those before it. See `Model.load`."""
-    store = Store()
+    things = Things()
     for file in files:
         for query in parse(read_text(file), str(file)):
-            store.read(query, str(file))
-    _complete(store)
-    said = (one.name for one in store.things["robot-model"])
-    model = cls(name if name is not None else next(said, files[0].stem))
-    _Reading(model, store).run()
-    model.notes.extend(store.notes)
+            things.insert(query, str(file))
+    things.complete()
+    names = [thing.name for thing in things.by_kind["robot-model"]]
+    model = cls(name or [*names, files[0].stem][0])
+    _Builder(model, things).build()
+    model.notes.extend(things.notes)
     return model
 
 
-def _complete(store: Store) -> None:
-    """Refuse relations that lack a part, and name the designs and configurations without a name."""
-    for kind, roles in ROLES.items():
-        for thing in store.things[kind]:
-            for role in roles:
-                if len(thing.players(role.name)) < role.least and not _only_states(thing):
-                    raise thing.place.error(
-                        f"this {thing.type.label} has no {role.name}; write ({role.name}: $x, ...)"
-                    )
-    for kind in ("function-design", "component-configuration"):
-        whole, _, what = kind.partition("-")
-        for thing in store.things[kind]:
-            if thing.own("name") is None:
-                name = _unused(f"{thing.players(whole)[0].name} {what}", store.named[kind])
-                store.give(thing, "name", name, thing.place)
-                store.note(
-                    thing.place, f"this {thing.type.label} has no name; it is called {name!r}"
-                )
+class _Builder:
+    """Builds a model from things."""
 
+    def __init__(self, model: facts.Contents, things: Things) -> None:
+        self._model = model
+        self._things = things
+        self._elements: dict[Thing, Any] = {}
 
-def _only_states(thing: Thing) -> bool:
-    """Return whether a constraint only has a status and something constrained, so it need not compare anything."""
-    return (
-        thing.kind == "constraint"
-        and thing.own("status") is not None
-        and bool(thing.players("constrained"))
-    )
-
-
-Stated = tuple[int, Fact, Place]
-"""The number of a statement, its fact, and its place."""
-
-
-class _Reading:
-    """Builds a model from the things of a store."""
-
-    def __init__(self, model: facts.Contents, store: Store) -> None:
-        self.model, self.store = model, store
-        self.elements: dict[Thing, Element | Constraint] = {}
-
-    def run(self) -> None:
-        required = self._required_functions()
+    def build(self) -> None:
         for cls, kind in _CLASSES.items():
-            for thing in self.store.things[kind] if issubclass(cls, Element) else ():
+            for thing in self._things.by_kind[kind]:
                 with thing.place.blamed():
-                    is_action = cls is elements.Action
-                    given = (
-                        {"functions": required.get(thing, [])}
-                        if is_action
-                        else self._fields(cls, thing)
-                    )
-                    self._keep(thing, self.model.declare(cls, thing.name, **given))
-        for thing in self.store.things["constraint"]:
-            with thing.place.blamed():
-                self._keep(thing, self._constraint(thing))
-        for thing in self.store.things["estimation"]:
-            with thing.place.blamed():
-                self._estimate(thing)
-        for _, fact, place in sorted(self._facts(), key=lambda one: one[0]):
+                    for values in self._fields(cls, thing):
+                        element: Any = self._model.state(cls, values)
+                        self._elements[thing] = element
+                        self._model.places[element] = str(thing.place)
+        for _, fact, place in sorted(self._facts(), key=lambda stated: stated[0]):
             with place.blamed():
-                self.model.add_fact(fact)
+                self._model.add_fact(fact)
 
-    def _keep(self, thing: Thing, element: Element | Constraint) -> None:
-        self.elements[thing] = element
-        self.model.places[element] = str(thing.place)
-
-    def _required_functions(self) -> dict[Thing, list[str]]:
-        """Return the functions that each action requires, which several relations may name."""
-        required: dict[Thing, list[str]] = {}
-        for relation in self.store.things["functional-requirement"]:
-            for action in relation.players("action"):
-                required.setdefault(action, []).extend(_names(relation, "required-function"))
-        return required
-
-    def _fields(self, cls: type[Element], thing: Thing) -> dict[str, Any]:
-        given: dict[str, Any] = {
-            own.name: own.value for own in thing.owns if own.name not in _STATED
-        }
-        for role in ROLES.get(_CLASSES[cls], ()):
-            if role.field:
-                names = _names(thing, role.name)
-                given[role.field] = names[0] if role.most == 1 else names
-        if cls in (Attribute, Component):
-            given |= {"kind": _KINDS[thing.type.label]} if thing.type.label in _KINDS else {}
+    def _fields(self, cls: type, thing: Thing) -> Iterator[dict[str, Any]]:
+        """Yield the fields of the elements that a thing describes: one, or more estimations."""
+        stated = _STATED + (_MEASURED if cls is elements.Attribute else ())
+        values = {name: own.value for name, own in thing.owns.items() if name not in stated}
+        for role, row in WORDS["roles"].get(thing.kind, {}).items():
+            if "field" in row:
+                players = thing.players[role]
+                filled: list[Any] = [
+                    self._elements[player] if row["field"] in _ELEMENTS else player.name
+                    for player in players
+                ]
+                values[row["field"]] = filled[0] if filled and row.get("most") == 1 else filled
+        if thing.type.label in WORDS["kinds"]:
+            values["kind"] = WORDS["kinds"][thing.type.label]
         if cls is Configuration:
-            given["parameters"] = _parameters(thing)
-        return given
-
-    def _constraint(self, thing: Thing) -> Constraint:
-        sign = str(thing.value("operator") or ">=").strip()
-        attributes = _names(thing, "attribute") or [self._stand_in(thing)]
-        value = _number(thing, "value", 0.0 if _only_states(thing) else None)
-        constrained = [self.elements[one] for one in thing.players("constrained")]
-        with (thing.own("operator") or thing).place.blamed():
-            expression = elements.Expression(attributes[0], sign, value, self.model).steady(
-                hysteresis=_number(thing, "hysteresis", 0.0), dwell=_number(thing, "dwell", 0.0)
+            values["parameters"] = _parameters(thing)
+        elif cls is elements.Action:
+            requirements = self._things.by_kind["functional-requirement"]
+            required = [each for each in requirements if thing in each.players["action"]]
+            values["functions"] = [
+                name for each in required for name in each.names("required-function")
+            ]
+        elif cls is Constraint:
+            if not values["attribute"]:
+                values["attribute"] = self._stand_in(thing)
+            values["operator"] = str(values.get("operator", ">=")).strip()
+            values["value"] = (
+                thing.value("value", 0.0) if "status" in thing.owns else thing.required("value")
             )
-        return self.model.constrain(constrained, expression)  # type: ignore[arg-type]  # the role lets no other in
+        elif cls is elements.Estimation:
+            thing.required("value")
+            kind = str(values.get("kind", "positive")).strip().lower()
+            for attribute in values["attribute"]:
+                for causer in values["causer"]:
+                    yield {**values, "attribute": attribute, "causer": causer, "kind": kind}
+            return
+        if issubclass(cls, Element):
+            values["name"] = thing.name
+        yield values
 
-    def _stand_in(self, thing: Thing) -> str:
-        name = _unused("unnamed attribute", self.store.named["attribute"])
-        self.store.note(
-            thing.place, f"this constraint has a status and no attribute; it is given {name!r}"
-        )
-        self.store.named["attribute"][name] = thing
-        return self.model.declare(Attribute, name).name
+    def _stand_in(self, constraint: Thing) -> str:
+        """Declare an attribute for a constraint that only has a status."""
+        name = self._things.unused("attribute", "unnamed attribute")
+        note = f"this constraint has a status and no attribute; it is given {name!r}"
+        self._things.note(constraint.place, note)
+        self._things.named["attribute"][name] = constraint
+        self._model.state(elements.Attribute, {"name": name})
+        return name
 
-    def _estimate(self, thing: Thing) -> None:
-        value, kind = _number(thing, "value"), thing.own("kind")
-        for attribute in _names(thing, "affected"):
-            for causer in thing.players("causer"):
-                with (kind or thing).place.blamed():
-                    sense = str(kind.value).strip().lower() if kind else "positive"
-                    self.model.add_estimation(self.elements[causer], attribute, value, sense)  # type: ignore[arg-type]  # the role lets no other in
+    # ---------------------------------------------------------------- facts
 
-    def _facts(self) -> Iterator[Stated]:
-        for thing, element in self.elements.items():
-            for own in thing.owns:
-                fact = self._stated(thing, element, own)
-                if fact is not None:
+    def _facts(self) -> Iterator[tuple[int, Fact, Place]]:
+        """Yield the facts with their order and places."""
+        for thing, element in self._elements.items():
+            for name, own in thing.owns.items():
+                for fact in self._stated(thing, element, name, own):
                     yield own.order, fact, own.place
         yield from self._measurements()
-        for thing in self.store.things["required-action"]:
-            preference = _preference(thing)
-            for name in _names(thing, "action"):
-                requested = facts.RequiredActionFact(
-                    name, preference, **_period(thing), result=self._result(thing)
-                )
-                yield thing.order, requested, thing.place
-        for thing in self.store.things["component-process"]:
-            pid = thing.value("pid")
-            if isinstance(pid, int):
-                (name,) = _names(thing, "component")
-                yield thing.order, facts.ProcessFact(name, pid, **_period(thing)), thing.place
+        for thing in self._things.by_kind["required-action"]:
+            preferred: list[str] = []
+            for player in thing.players["preferred-attribute"]:
+                is_estimation = player.kind == "estimation"
+                preferred += player.names("affected") if is_estimation else [player.name]
+            for action in thing.names("action"):
+                weights = dict.fromkeys(preferred, 1.0) or None
+                request = facts.RequiredActionFact(action, weights, **self._period(thing))
+                yield thing.order, request, thing.place
+        for thing in self._things.by_kind["component-process"]:
+            if "pid" in thing.owns:
+                for component in thing.names("component"):
+                    period = (thing.value("start"), thing.value("end"))
+                    process = facts.ProcessFact(component, thing.value("pid"), *period)
+                    yield thing.order, process, thing.place
             else:
-                self.store.note(thing.place, f"this {thing.type.label} has no pid; it is ignored")
-        for thing in self.store.things["reconfiguration-plan"]:
-            yield thing.order, self._plan(thing), thing.place
+                self._things.note(thing.place, f"this {thing.type.label} has no pid; it is ignored")
+        for thing in self._things.by_kind["reconfiguration-plan"]:
+            steps: dict[str, Any] = {name: tuple(self._steps(thing, name)) for name in _STEPS}
+            yield thing.order, facts.PlanFact(**steps, **self._period(thing)), thing.place
 
-    def _stated(self, thing: Thing, element: Any, own: Own) -> Fact | None:  # noqa: ANN401  # what has such a field
-        if own.name == "pid":
-            return facts.ProcessFact(element.name, own.value)  # type: ignore[arg-type]  # a whole number: checked
-        if own.name in _FLAGS:
-            return _FLAGS[own.name](element) if own.value is True else None
-        if own.name != "status":
-            return None
-        word = " ".join(str(own.value).replace("_", " ").replace("-", " ").lower().split())
-        known = STATUSES[elements.KINDS[type(element)]]
-        if word in known:
-            return facts.StatusFact(element, Status(word))
-        unknown = UnknownName(f"status of a {thing.type.label}", own.value, map(str, known))
-        self.store.note(
-            own.place, f"{unknown}; not asserted"
-        )  # no error: other programs read such files too
-        return None
+    def _stated(self, thing: Thing, element: Any, name: str, own: Own) -> Iterator[Fact]:  # noqa: ANN401  # of any class
+        if name == "pid":
+            yield facts.ProcessFact(element.name, own.value)
+        elif name == "active" and own.value:
+            yield facts.ActiveFact(element.name)
+        elif name == "required" and own.value:
+            yield facts.RequiredFact(element)
+        elif name == "selected" and own.value:
+            yield facts.SelectedFact(element)
+        elif name == "status":
+            word = " ".join(re.split(r"[\s_-]+", own.value.strip().lower()))
+            known = STATUSES[elements.KINDS[type(element)]]
+            if word in known:
+                yield facts.StatusFact(element, Status(word))
+            else:
+                unknown = UnknownName(f"status of a {thing.type.label}", own.value, map(str, known))
+                self._things.note(own.place, f"{unknown}; not asserted")
 
-    def _measurements(self) -> Iterator[Stated]:
-        """Yield all measurements; the latest of an attribute is as stated, else the newest, stated last."""
-        measured: dict[str, list[Thing]] = {}
-        for thing in self.store.things["measurement"]:
-            for name in _names(thing, "measured-attribute"):
-                measured.setdefault(name, []).append(thing)
-        for thing in self.store.things["attribute"]:
-            if thing.own("value"):
-                measured.setdefault(thing.name, []).append(thing)
-        for name, things in measured.items():
-            unsaid = [thing for thing in things if thing.own("latest") is None]
-            if any(thing.value("latest") is True for thing in things):
-                unsaid = []
-            newest = max(
-                unsaid, key=lambda thing: (_time(thing, "time") or 0.0, _order(thing)), default=None
+    def _measurements(self) -> Iterator[tuple[int, Fact, Place]]:
+        """Yield all measurements; the latest of an attribute is as stated, else the newest one."""
+        measured: dict[str, list[tuple[Thing, Own]]] = defaultdict(list)
+        for thing in self._things.by_kind["measurement"]:
+            thing.required("value")
+            for name in thing.names("measured-attribute"):
+                measured[name].append((thing, thing.owns["value"]))
+        for thing in self._things.by_kind["attribute"]:
+            if "value" in thing.owns:
+                measured[thing.name].append((thing, thing.owns["value"]))
+        for name, pairs in measured.items():
+            stated = [thing for thing, _ in pairs if "latest" in thing.owns]
+            latest = [thing for thing in stated if thing.value("latest")]
+            ages = [
+                (thing.value("time", 0.0), own.order, thing)
+                for thing, own in pairs
+                if thing not in stated
+            ]
+            if ages and not latest:
+                latest = [max(ages, key=lambda age: age[:2])[-1]]
+            for thing, own in pairs:
+                fact = facts.MeasurementFact(name, own.value, thing.value("time"), thing in latest)
+                yield own.order, fact, own.place
+
+    def _steps(self, whole: Thing, field: str) -> Iterator[str]:
+        """Yield what a plan activates, deactivates or configures, by name."""
+        kind, role = _STEPS[field]
+        for name, players in whole.players.items():
+            for player in players:
+                if player.kind == "structural-adaptation":
+                    yield from self._steps(player, field)
+                elif player.kind == kind:
+                    yield from player.names(role)
+                elif name == kind:
+                    yield player.name
+
+    def _period(self, thing: Thing) -> dict[str, Any]:
+        """Return the start, the end and the result of a request or a plan."""
+        word = str(thing.value("result", "")).strip().lower()
+        result = WORDS["results"].get(word)
+        if word and not result:
+            result = "abandoned"
+            known = "there are completed, failed, abandoned"
+            self._things.note(
+                thing.place, f"{word!r} is not a result, and is read as {result}; {known}"
             )
-            for thing in things:
-                own = thing.own("value")
-                if own is None:
-                    raise thing.place.error(
-                        f"this {thing.type.label} has no value; write `has measurement-value 0.5`"
-                    )
-                latest = thing is newest or thing.value("latest") is True
-                fact = facts.MeasurementFact(name, own.value, _time(thing, "time"), latest)  # type: ignore[arg-type]  # a number: checked
-                yield _order(thing), fact, own.place
-
-    def _plan(self, thing: Thing) -> facts.PlanFact:
-        steps: dict[str, Any] = {
-            field: self._steps(thing, kind, role) for kind, (role, field, _) in _STEPS.items()
-        }
-        return facts.PlanFact(**steps, **_period(thing), result=self._result(thing))
-
-    def _steps(self, whole: Thing, kind: str, role: str) -> tuple[str, ...]:
-        """Return what a plan activates, deactivates or configures, by name: in steps of a kind, or in a role."""
-        names: list[str] = []
-        for one in whole.parts:
-            if one.thing.kind == "structural-adaptation":
-                names += self._steps(one.thing, kind, role)
-            elif one.thing.kind == kind:
-                names += (chosen := _names(one.thing, role))
-                if not chosen:
-                    self.store.note(
-                        one.thing.place,
-                        f"this {one.thing.type.label} names no {role}; it is ignored",
-                    )
-            elif (
-                one.thing.kind in ("component", "component-configuration")
-                and one.role
-                and one.role.name == kind
-            ):
-                names.append(one.thing.name)
-        return tuple(names)
-
-    def _result(self, thing: Thing) -> str | None:
-        own = thing.own("result")
-        word = str(own.value).strip().lower() if own else ""
-        if own is None or not word:
-            return None
-        if word not in _RESULTS:
-            message = f"{own.value!r} is not a result, and is read as abandoned; there are completed, failed, abandoned"
-            self.store.note(own.place, message)
-        return _RESULTS.get(word, "abandoned")
-
-
-def _names(thing: Thing, role: str) -> list[str]:
-    return [one.name for one in thing.players(role)]
-
-
-def _number(thing: Thing, name: str, default: float | None = None) -> float:
-    value = thing.value(name)
-    if isinstance(value, int | float):
-        return value
-    if default is None and thing.kind:
-        raise thing.place.error(
-            f"this {thing.type.label} has no {name}; write `has {thing.kind}-{name} 0.5`"
-        )
-    return default or 0.0
-
-
-def _order(measured: Thing) -> int:
-    own = measured.own("value")
-    return own.order if own and measured.kind == "attribute" else measured.order
-
-
-def _time(thing: Thing, name: str) -> float | None:
-    """Return a time in seconds since 1970-01-01 UTC."""
-    value = thing.value(name)
-    if not isinstance(value, datetime):
-        return None
-    return (value - datetime(1970, 1, 1, tzinfo=UTC)) / timedelta(seconds=1)
-
-
-def _period(thing: Thing) -> dict[str, Any]:
-    return {"start": _time(thing, "start"), "end": _time(thing, "end")}
-
-
-def _preference(thing: Thing) -> dict[str, float] | None:
-    """Return the weight of each preferred attribute, 1; an estimation means its attribute."""
-    names: list[str] = []
-    for player in thing.players("preferred-attribute"):
-        names += _names(player, "affected") if player.kind == "estimation" else [player.name]
-    return dict.fromkeys(names, 1.0) or None
+        return {"start": thing.value("start"), "end": thing.value("end"), "result": result}
 
 
 def _parameters(configuration: Thing) -> dict[str, elements.Parameter]:
     values: dict[str, elements.Parameter] = {}
-    for one in configuration.players("parameter"):
-        key, value, sort = one.own("key"), one.own("value"), one.value("type")
-        if key is None or value is None:
-            missing = "key" if key is None else "value"
-            raise one.place.error(
-                f"this {one.type.label} has no {missing}; write `has parameter-{missing} '...'`"
-            )
-        read = _parameter(value.value, None if sort is None else str(sort), value.place)
-        if values.setdefault(str(key.value), read) != read:
-            raise one.place.error(f"parameter {key.value!r} has two values in one configuration")
+    for thing in configuration.players["parameter"]:
+        key = thing.required("key")
+        value = _parameter(thing)
+        if values.setdefault(key, value) != value:
+            raise thing.place.error(f"parameter {key!r} has two values in one configuration")
     return values
 
 
-def _parameter(value: Literal, type_name: str | None, place: Place) -> elements.Parameter:
-    if type_name is None:
-        return value  # type: ignore[return-value]  # no date: it was checked
-    word = (
-        re.sub(r"[-\s]", "_", type_name.strip().lower())
-        .removeprefix("parameter_")
-        .replace("[]", "_array")
-    )
-    read = _READERS.get(word.removesuffix("_array"))
-    if read is None:
-        known = [
-            *elements.PARAMETER_TYPES.values(),
-            *(f"{one}_array" for one in elements.PARAMETER_TYPES.values()),
-        ]
-        raise place.error(str(UnknownName("parameter type", type_name, known)))
+def _parameter(thing: Thing) -> elements.Parameter:
+    """Return the value of a parameter as its type says."""
+    value = thing.required("value")
+    label = thing.value("type")
+    if label is None:
+        return value  # type: ignore[no-any-return]  # a literal
+    word = _plain(label).removeprefix("parameter")
+    fitting = [read for sort, read in _READERS.items() if word.startswith(sort)]
+    if not fitting:
+        known = elements.PARAMETER_TYPES.values()
+        raise thing.place.error(str(UnknownName("parameter type", label, known)))
+    (read,) = fitting
     try:
-        if word.endswith("_array"):
-            return [read(item) for item in _items(value, word)]  # type: ignore[return-value]  # all of one type
+        if word.endswith(("array", "[]")):
+            return [read(item) for item in _items(value)]  # type: ignore[return-value]  # all of one type
         return read(value)
-    except (ValueError, KeyError, TypeError):
-        raise place.error(f"{shown(value)} cannot be read as {type_name}") from None
+    except (KeyError, TypeError, ValueError):
+        raise thing.place.error(f"{value!r:.60} cannot be read as {label}") from None
 
 
-def _whole(value: object) -> int:
-    number = value if isinstance(value, float) else int(str(value))
-    if number != int(number):
-        raise ValueError
-    return int(number)
-
-
-_READERS: Final[Mapping[str, Callable[[object], bool | int | float | str]]] = {
-    **dict.fromkeys(
-        ("boolean", "bool"),
-        lambda value: {"true": True, "false": False}[str(value).strip().lower()],
-    ),
-    **dict.fromkeys(("long", "integer", "int"), _whole),
-    **dict.fromkeys(("double", "float"), lambda value: finite_number(float(str(value)))),
-    **dict.fromkeys(
-        ("string", "str"),
-        lambda value: str(value).lower() if isinstance(value, bool) else str(value),
-    ),
+_READERS: Final[Mapping[str, Callable[[Any], bool | int | float | str]]] = {
+    "bool": lambda value: {"true": True, "false": False}[str(value).strip().lower()],
+    "long": lambda value: int(str(value).removesuffix(".0")),
+    "int": lambda value: int(str(value).removesuffix(".0")),
+    "double": lambda value: finite_number(float(str(value))),
+    "float": lambda value: finite_number(float(str(value))),
+    "str": str,
 }
+"""How the values of parameters are read, by the beginnings of the names of types."""
 
 
-def _items(value: Literal, word: str) -> list[object]:
-    """Return the items of a list in the form of Python or JSON; texts may be without quotes, and stay as written."""
-    if not isinstance(value, str):
-        return [value]
-    with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
-        items = ast.literal_eval(value.strip())
-        if isinstance(items, list) and (
-            not word.startswith("str") or all(isinstance(item, str) for item in items)
-        ):
-            return items
-    inner = re.fullmatch(r"\s*\[\s*([\s\S]*?)\s*\]\s*", value)
+def _items(value: object) -> list[str]:
+    """Return the items of a list in brackets; texts need no quotes, unless they have a comma."""
+    inner = re.fullmatch(r"\s*\[([\s\S]*)\]\s*", str(value))
     if inner is None:
         raise ValueError
-    return [item.strip().strip("'\"") for item in inner[1].split(",")] if inner[1] else []
-
-
-def _unused(stem: str, taken: Container[str]) -> str:
-    return next(name for number in count(1) if (name := f"{stem} {number}") not in taken)
+    found = re.findall(r"""'([^']*)'|"([^"]*)"|([^\s,][^,]*)""", inner[1])
+    return [single or double or bare.strip() for single, double, bare in found]

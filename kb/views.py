@@ -3,17 +3,15 @@
 A view reads from its knowledge base each time it is asked; nothing can be changed through it.
 """
 
-import math
 from collections.abc import Callable, ItemsView, Iterator, Mapping, ValuesView
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar
 
-from kb.elements import AttributeKind, ComponentKind, Constraint, Element, Parameters, finite_number
+from kb.elements import AttributeKind, ComponentKind, Constraint, Element, Parameters
 from kb.network import Node, Ref
-from kb.state import History, State
+from kb.state import State
 from kb.status import Status
 
 T = TypeVar("T")
@@ -224,27 +222,10 @@ class AttributeView(ElementView):
 
     @property
     def history(self) -> tuple[tuple[float, float], ...]:
-        """The measurements as (time [s], value), in order of time; old ones may be forgotten, see `begins`."""
-        return self._asked(History.samples, ())
-
-    @property
-    def begins(self) -> float:
-        """The history has all measurements from this time on [s]; `-math.inf` while none is forgotten."""
-        return self._asked(attrgetter("begins"), -math.inf)
-
-    def at(self, time: float) -> float | None:
-        """Return the value that was the latest at a time [s]; None before the first measurement.
-
-        Raises:
-            InvalidValue: the measurements of that time are forgotten.
-        """
-        finite_number(time)
-        return self._asked(lambda history: history.at(time), None)
-
-    def _asked(self, question: Callable[[History], T], unmeasured: T) -> T:
+        """The newest measurements as (time [s], value), in order of time."""
         with self.base.reading() as state:
-            history = state.histories.get(self.node)
-            return unmeasured if history is None else question(history)
+            rows = tuple(state.histories.get(self.node, ()))
+        return tuple((time, value) for time, value, _ in rows)
 
 
 ViewT = TypeVar("ViewT", bound=ElementView)

@@ -39,11 +39,11 @@ COMMANDS: Final = {
     "record": ("recordings:record", "Look at a recording, or put it in another form."),
     "check": ("check:check", "Judge a model, and say what to do about each finding."),
     "plan": (
-        "check:plan",
+        "plan:plan",
         "Plan, say why actions are out and why there is no plan, and exit with 0 if there is one.",
     ),
     "verify": (
-        "check:verify",
+        "plan:verify",
         "Say what holds in everything that can happen; exit with 0 if all of it does.",
     ),
     "campaign": ("experiments:campaign", "Run missions with many managers, settings and seeds."),
@@ -57,13 +57,14 @@ COMMANDS: Final = {
     ),
     "store": ("store:app", "Look after the store of a knowledge base."),
 }
-"""The sub-commands: where each is in `missions.commands`, and its help. It is imported only when it is called."""
+"""The sub-commands: where each is in `missions.commands`, and its help. It is imported only when it
+is called."""
 
 
 class Commands(TyperGroup):
     """The group of sub-commands, which lists them without importing them."""
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401  # typer's own click is private
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401  # click is private
         name, _, rest = super().resolve_command(ctx, args)
         module, _, attribute = COMMANDS[str(name)][0].partition(":")
         command = getattr(import_module(f"missions.commands.{module}".rstrip(".")), attribute)

@@ -182,7 +182,8 @@ class IsActionFeasible(ActionBehaviour):
         self.ends_too_soon = False  # feasible now, but not for as long as `during`
 
     def update(self) -> Status:
-        kb, action = self.kb, self.action
+        kb = self.kb
+        action = self.action
         self.ends_too_soon = False
         if not kb.is_feasible(action):
             return self._answer(why(kb, action))
@@ -275,7 +276,8 @@ class Measurement(KbBehaviour):
         self._unknown = unknown
 
     def update(self) -> Status:
-        name, measured = self.attribute.name, self.attribute.value
+        name = self.attribute.name
+        measured = self.attribute.value
         if measured is None:
             self.feedback_message = f"{name} is not measured"
             return self._unknown
@@ -290,12 +292,13 @@ class Measurement(KbBehaviour):
 class RosaAction(ActionBehaviour, Requester):
     """Action: base class of what a mission does while the robot is configured for it.
 
-    Override `update`, and `initialise` and `terminate` if needed; they need not call the base's. The
-    action is requested before `initialise` and released once, after `terminate`. The result of the
+    Override `update`, and `initialise` and `terminate` if needed; they need not call the base's.
+    The action is requested before `initialise` and released once, after `terminate`. The result of
+    the
     request follows from how the behaviour ends: SUCCESS is "completed", FAILURE or an exception is
     "failed", an interruption or the shutdown of the tree is "abandoned". If the request is refused,
-    the behaviour fails with the reason, and nothing of the subclass is called. If the action becomes
-    unfeasible while it runs, it is "abandoned", and the behaviour fails with the reason.
+    the behaviour fails with the reason, and nothing of the subclass is called. If the action
+    becomes unfeasible while it runs, it is "abandoned", and the behaviour fails with the reason.
 
     An action that can go on where it was also overrides `save_progress` and `restore_progress`; one
     that needs time to stop overrides `halting`.
@@ -358,7 +361,8 @@ class RosaAction(ActionBehaviour, Requester):
     def save_progress(self) -> object | None:
         """Return how far the action has come, or None (the default) if it starts afresh next time.
 
-        Called before `terminate` when the action is interrupted or fails; and, if the knowledge base
+        Called before `terminate` when the action is interrupted or fails; and, if the knowledge
+        base
         has a store, about once a second while it runs: the store keeps it (as JSON) for the next
         program. It is kept by action and name of the behaviour, separately for each tree of a
         `TreeRunner`, until the action succeeds or a new mission begins.

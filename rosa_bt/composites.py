@@ -53,10 +53,11 @@ class _RoleComposite(composites.Composite):
 class DoUntilUnfeasible(_RoleComposite):
     """Does a task; while the task is unfeasible, does something else; then goes on with the task.
 
-    The switch, in both directions, takes place within one tick. So an action is required after every
-    tick, and the robot is not deconfigured and configured again in between. This succeeds when the
-    task does, and fails when the task fails for a reason other than an unfeasible action; otherwise
-    it is RUNNING. `meanwhile` starts again if it fails, or succeeds, before the task is feasible.
+    The switch, in both directions, takes place within one tick. So an action is required after
+    every tick, and the robot is not deconfigured and configured again in between. This succeeds
+    when the task does, and fails when the task fails for a reason other than an unfeasible action;
+    otherwise it is RUNNING. `meanwhile` starts again if it fails, or succeeds, before the task is
+    feasible.
 
     Args:
         task: a behaviour or subtree that fails when its action becomes unfeasible.
@@ -103,8 +104,8 @@ class SafeSwitch(_RoleComposite):
     """Does an action, and before it the transition from the action that was done last, if any.
 
     The transition finishes before the action is requested. If it fails, this fails, and the action
-    does not start. If it is interrupted, it starts again at the next start, unless the robot has gone
-    back to the other action.
+    does not start. If it is interrupted, it starts again at the next start, unless the robot has
+    gone back to the other action.
 
     Args:
         task: the behaviour that does the action.
@@ -152,8 +153,8 @@ def feasible_then_act(task: Behaviour, during: float = 0.0) -> Behaviour:
     """Return a subtree that does an action only while it is feasible, which each tick asks.
 
     Args:
-        task: the action. Any other behaviour is returned as it is: a `ForAction` asks by itself, and
-            in a subtree its leaves do.
+        task: the action. Any other behaviour is returned as it is: a `ForAction` asks by itself,
+            and in a subtree its leaves do.
         during: how long the action takes [s]; see `IsActionFeasible`.
     """
     if not isinstance(task, Behaviour):
@@ -202,7 +203,8 @@ def do_until_unfeasible(
         during: how long the task takes [s], if it is an action; it starts only if it will stay
             feasible for that long.
     """
-    doing, instead = feasible_then_act(task, during), feasible_then_act(meanwhile)
+    doing = feasible_then_act(task, during)
+    instead = feasible_then_act(meanwhile)
     name = name or f"{task.name}, or else {meanwhile.name}"
     return DoUntilUnfeasible(name, doing, instead, memory=memory)
 

@@ -1,12 +1,13 @@
 """Decorators: an action around any behaviour, trying again at once, and times by the runner's clock.
 
-`Timeout`, `Timer`, `Delay` and `Retry` count by the clock of the `TreeRunner` that ticks their tree; in
-a tree without one, by the monotonic clock of this computer.
+`Timeout`, `Timer`, `Delay` and `Retry` count by the clock of the `TreeRunner` that ticks their
+tree; in a tree without one, by the monotonic clock of this computer.
 """
 
 import math
 import time
 from collections.abc import Callable, Generator, Iterator
+from typing import Final
 
 import py_trees.decorators
 import py_trees.timers
@@ -28,8 +29,9 @@ ROUNDING_S = 1e-9
 class ForAction(GuardedBehaviour, Requester, Decorator):
     """Ticks any behaviour only while a ROSA action is feasible, and requests the action meanwhile.
 
-    Each tick asks whether the action is feasible. If it is not, the child is stopped, and this fails
-    with the reason. Otherwise the action is requested when the child starts, and released once,
+    Each tick asks whether the action is feasible. If it is not, the child is stopped, and this
+    fails with the reason. Otherwise the action is requested when the child starts, and released
+    once,
     however the child ends: the result is "completed" after SUCCESS, "failed" after FAILURE or an
     exception (its text is the feedback), else "abandoned".
 
@@ -106,10 +108,9 @@ class UntilSuccess(Decorator):
         yield from self.decorated.tick()
         if self.decorated.status is Status.FAILURE:
             yield from self.decorated.tick()
-        new_status = self.update()
-        if new_status is not Status.RUNNING:
-            self.stop(new_status)
-        self.status = new_status
+        self.status = self.update()
+        if self.status is not Status.RUNNING:
+            self.stop(self.status)
         yield self
 
     def update(self) -> Status:
@@ -189,7 +190,10 @@ class Delay(Timed, Decorator):
 
 
 class Retry(Timed, py_trees.decorators.Retry):
-    """Ticks the child again after a failure, with a pause [s] before; FAILURE after `num_failures`."""
+    """Ticks the child again after a failure, with a pause [s] before.
+
+    FAILURE after `num_failures`.
+    """
 
     def __init__(self, name: str, child: Behaviour, num_failures: int, pause: float = 0.0) -> None:
         super().__init__(name, child, num_failures)
@@ -213,62 +217,24 @@ class Retry(Timed, py_trees.decorators.Retry):
         return new_status
 
 
+_BY_CLOCK: Final[dict[type[Behaviour], type[Behaviour]]] = {
+    py_trees.timers.Timer: Timer,
+    py_trees.decorators.Timeout: Timeout,
+}
+
+
 def follow_clock(behaviour: Behaviour, clock: Clock) -> None:
-    """Let a behaviour count by a clock; py_trees' own `Timeout` and `Timer`, too.
+    """Let a behaviour count by a clock; py_trees' own `Timeout` and `Timer` become ours.
 
     Raises:
         TreeChangeError: a subclass of them counts by the clock of the computer.
     """
+    if type(behaviour) in _BY_CLOCK:
+        behaviour.__class__ = _BY_CLOCK[type(behaviour)]
     if isinstance(behaviour, ClockFollower):
         behaviour.follow(clock)
-    elif isinstance(behaviour, py_trees.timers.Timer):
-        _check_hooks(behaviour, py_trees.timers.Timer)
-        _follow_timer(behaviour, clock)
-    elif isinstance(behaviour, py_trees.decorators.Timeout):
-        _check_hooks(behaviour, py_trees.decorators.Timeout)
-        _follow_timeout(behaviour, clock)
-
-
-def _check_hooks(behaviour: Behaviour, base: type[Behaviour]) -> None:
-    kind = type(behaviour)
-    if (kind.initialise, kind.update) != (base.initialise, base.update):
-        raise TreeChangeError(
-            f"{kind.__name__} {behaviour.name!r} counts by the clock of this computer, and the runner"
-            f" by another one; derive it from rosa_bt.decorators.{base.__name__}"
-        )
-
-
-def _follow_timer(timer: py_trees.timers.Timer, clock: Clock) -> None:
-    def initialise() -> None:
-        timer.finish_time = clock() + timer.duration
-        timer.feedback_message = f"configured to fire in '{timer.duration}' seconds"
-
-    def update() -> Status:
-        if clock() > timer.finish_time:
-            timer.feedback_message = f"timer ran out [{timer.duration}]"
-            return Status.SUCCESS
-        timer.feedback_message = "still running"
-        return Status.RUNNING
-
-    vars(timer).update(initialise=initialise, update=update)
-
-
-def _follow_timeout(timeout: py_trees.decorators.Timeout, clock: Clock) -> None:
-    def initialise() -> None:
-        timeout.finish_time = clock() + timeout.duration
-        timeout.feedback_message = ""
-
-    def update() -> Status:
-        child = timeout.decorated
-        left = timeout.finish_time - clock()
-        if child.status is not Status.RUNNING:
-            timeout.feedback_message = "child finished before timeout triggered"
-            return child.status
-        if left >= 0:
-            timeout.feedback_message = f"time still ticking ... [remaining: {left}s]"
-            return Status.RUNNING
-        timeout.feedback_message = "timed out"
-        child.stop(Status.INVALID)
-        return Status.FAILURE
-
-    vars(timeout).update(initialise=initialise, update=update)
+    elif isinstance(behaviour, tuple(_BY_CLOCK)):
+        kind = type(behaviour).__name__
+        problem = f"{kind} {behaviour.name!r} counts by the clock of this computer"
+        advice = "derive it from rosa_bt.Timeout or rosa_bt.Timer, which follow the runner's"
+        raise TreeChangeError(f"{problem}; {advice}")

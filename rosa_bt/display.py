@@ -1,6 +1,7 @@
-"""Pictures of a tree, with the feasibility of its actions: as text, for Graphviz, and as SVG.
+"""Pictures of a tree, with the feasibility of its actions: as text, and as SVG.
 
-A picture shows the statuses after the last tick, and for each action what the knowledge base says now.
+A picture shows the statuses after the last tick, and for each action what the knowledge base says
+now.
 """
 
 from collections.abc import Iterator, Sequence
@@ -50,8 +51,8 @@ class _Row(NamedTuple):
 def ascii_tree(root: Behaviour) -> str:
     """Return a tree as text: one line for each behaviour, with its status, feasibility and feedback.
 
-    `*` is RUNNING, `o` SUCCESS, `x` FAILURE, `-` not ticked. `->` is a sequence, `?` a selector, `=>` a parallel, `^` a
-    decorator, `?!` a `DoUntilUnfeasible`; `m` stands for memory.
+    `*` is RUNNING, `o` SUCCESS, `x` FAILURE, `-` not ticked. `->` is a sequence, `?` a selector,
+    `=>` a parallel, `^` a decorator, `?!` a `DoUntilUnfeasible`; `m` stands for memory.
     """
     lines = []
     for row in _rows(root):
@@ -60,27 +61,13 @@ def ascii_tree(root: Behaviour) -> str:
     return "".join(lines)
 
 
-def dot_tree(root: Behaviour) -> str:
-    """Return a tree as a graph in the DOT language of Graphviz, which `dot -Tsvg` draws."""
-    lines = [
-        "digraph tree {",
-        "  rankdir=LR;",
-        '  node [shape=box, style="rounded,filled", fontname="sans-serif"];',
-    ]
-    for number, row in enumerate(_rows(root)):
-        label = "\\n".join(line.replace("\\", "\\\\").replace('"', '\\"') for line in row.lines)
-        lines.append(
-            f'  n{number} [label="{label}", fillcolor="{_FILLS[row.status]}", color="{row.edge}"];'
-        )
-        if row.parent >= 0:
-            lines.append(f"  n{row.parent} -> n{number};")
-    return "\n".join([*lines, "}", ""])
-
-
 def svg_tree(root: Behaviour) -> str:
     """Return a tree as an SVG picture: one behaviour below the other, children indented to the right."""
-    edges, shapes, feet = list[str](), list[str](), list[tuple[float, float]]()
-    right, top = 0.0, _GAP
+    edges = list[str]()
+    shapes = list[str]()
+    feet = list[tuple[float, float]]()
+    right = 0.0
+    top = _GAP
     for row in _rows(root):
         left, (width, height) = _GAP + len(row.lead) * _GAP / 2, svg_size(row.lines)
         if row.parent >= 0:
@@ -90,7 +77,8 @@ def svg_tree(root: Behaviour) -> str:
         edge = f'stroke="{row.edge}" stroke-width="{1 if row.edge == _PLAIN else 2}"'
         shapes += svg_box(left, top, row.lines, f'fill="{_FILLS[row.status]}" {edge}')
         feet.append((left + _GAP, top + height))
-        right, top = max(right, left + width + _GAP), top + height + _GAP
+        right = max(right, left + width + _GAP)
+        top = top + height + _GAP
     size = f'width="{right:g}" height="{top:g}"'
     head = f'<svg xmlns="http://www.w3.org/2000/svg" {size} {FONT}>'
     return "\n".join([head, f'<rect {size} fill="white"/>', *edges, *shapes, "</svg>", ""])
@@ -101,7 +89,8 @@ def _rows(root: Behaviour) -> list[_Row]:
 
     A finished behaviour below a node that has been reset is drawn as not ticked.
     """
-    rows, said = list[_Row](), set[str]()
+    rows = list[_Row]()
+    said = set[str]()
     pending = [(root, -1, "", "", False)]
     while pending:
         behaviour, parent, lead, below, is_idle = pending.pop()
@@ -142,7 +131,8 @@ def _feasibility(behaviour: Behaviour) -> str:
     if not isinstance(behaviour, ActionBehaviour | ForAction):
         return ""
     try:
-        kb, action = behaviour.kb, behaviour.action
+        kb = behaviour.kb
+        action = behaviour.action
         return "feasible" if kb.is_feasible(action) else kb.why(kb.actions[action])
     except Exception as error:  # the port is not written yet, or holds no name of an action
         return f"action not known yet: {_plain(in_words(error))}"

@@ -63,7 +63,10 @@ def in_words(error: Exception) -> str:
 
 
 def line_in_words(error: Exception, *ours: str) -> str:
-    """Return the last line of the user's code in a traceback, as `; tree.py, line 3`, or nothing."""
+    """Return the last line of the user's code in a traceback, as `.
+
+    Tree.py, line 3`, or nothing.
+    """
     own = (*_OURS, *ours, *stdlib_module_names)
     place = ""
     for frame, line in walk_tb(error.__traceback__):
@@ -93,7 +96,10 @@ def root_of(behaviour: Behaviour) -> Behaviour:
 
 
 def report(behaviour: Behaviour, error: Exception, note: str = "") -> None:
-    """Make an exception the feedback of its behaviour, and tell the tree; log the first traceback."""
+    """Make an exception the feedback of its behaviour, and tell the tree.
+
+    Log the first traceback.
+    """
     behaviour.feedback_message = in_words(error) + note
     if behaviour not in _logged:
         _logged.add(behaviour)

@@ -1,6 +1,7 @@
 """Who has requested which action, what still halts, and the progress that interrupted actions saved.
 
-All of this belongs to a knowledge base and not to behaviours, because behaviours come and go: a tree
+All of this belongs to a knowledge base and not to behaviours, because behaviours come and go: a
+    tree
 switches between two behaviours that do the same action, and a plan makes a new one for each step.
 """
 
@@ -47,9 +48,9 @@ class Requester(Behaviour):
 
         Called after an interruption, once `terminate` has returned, and then once in each tick. The
         action stays requested meanwhile, so its components stay configured. An action that is next
-        waits for it if it is exclusive, or shares a component or its name with this one. The default
-        ends at once. When `halting_timeout` has passed, the others wait no longer; the log says so,
-        and so does the result of the request, with `feedback_message`.
+        waits for it if it is exclusive, or shares a component or its name with this one. The
+        default ends at once. When `halting_timeout` has passed, the others wait no longer; the log
+        says so, and so does the result of the request, with `feedback_message`.
         """
         return Status.SUCCESS
 
@@ -62,7 +63,8 @@ class Requests:
     """For each action, the requests of behaviours, with their preferences. When a tree switches
     between two behaviours, the new one begins before the old one is stopped."""
     halting: dict["ActionRequest", str] = field(default_factory=dict)
-    """The requests of interrupted actions that need time to stop, with why they were interrupted."""
+    """The requests of interrupted actions that need time to stop, with why they were
+    interrupted."""
     progress: dict[tuple[object, str, str], object] = field(default_factory=dict)
     """What was saved, by mission (or `PREVIOUS_RUN`), action and name of the behaviour."""
     reasons: dict[str, tuple[int, str]] = field(default_factory=dict)
@@ -173,7 +175,8 @@ class ActionRequest:
     def admit(self) -> Status:
         """Return SUCCESS if the owner may work, RUNNING while it waits, FAILURE if it must not work.
 
-        The reason becomes the owner's feedback. If the action became unfeasible, the owner is stopped.
+        The reason becomes the owner's feedback. If the action became unfeasible, the owner is
+        stopped.
         """
         owner = self.owner
         objection = ""
@@ -221,7 +224,10 @@ class ActionRequest:
             return f"{action} is no longer in the model"
 
     def _readiness(self, action: str) -> tuple[Status, str]:
-        """Return SUCCESS if the robot is configured, RUNNING or after the time-out FAILURE; and why."""
+        """Return SUCCESS if the robot is configured, RUNNING or after the time-out FAILURE.
+
+        And why.
+        """
         kb = self._kb
         if self.timeout is None:
             return Status.SUCCESS, ""
@@ -240,7 +246,8 @@ class ActionRequest:
 
         After an interrupt in here, a second call finishes the work; the result is reported once.
         """
-        action, kb = self._action, self._kb
+        action = self._action
+        kb = self._kb
         if action is None:
             return
         others = requests_of(kb).requesters.setdefault(action, {})
@@ -293,10 +300,14 @@ class ActionRequest:
         return node is not None and not is_parallel(node)
 
     def halt(self) -> None:
-        """Begin to halt the owner, which was interrupted; the request stays open until that is over."""
+        """Begin to halt the owner, which was interrupted.
+
+        The request stays open until that is over.
+        """
         if self._action is None or self.is_halting:
             return
-        kb, action = self._kb, self._action
+        kb = self._kb
+        action = self._action
         is_unfeasible = action in kb.actions and not kb.is_feasible(action)
         reason = kb.why(kb.actions[action]) if is_unfeasible else ""
         requests = requests_of(kb)

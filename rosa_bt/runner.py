@@ -34,9 +34,9 @@ class GuardedTree(BehaviourTree):
 
     If any behaviour raises, in `initialise`, `update`, `terminate` or `tick`, that behaviour fails,
     with the text of the exception as feedback, and its parent handles the failure. The first
-    exception of each behaviour is logged with its traceback; visitors that have a method `error` are
-    called with each behaviour that raises, and its exception. A behaviour that is taken out of the tree
-    is stopped before the next tick at the latest.
+    exception of each behaviour is logged with its traceback; visitors that have a method `error`
+    are called with each behaviour that raises, and its exception. A behaviour that is taken out of
+    the tree is stopped before the next tick at the latest.
 
     Args:
         clock: gives the time [s] to the behaviours that count time.
@@ -68,7 +68,10 @@ class GuardedTree(BehaviourTree):
         visitor: VisitorBase | None = None,
         **kwargs: Any,  # noqa: ANN401  # as py_trees has it
     ) -> None:
-        """Call `setup(**kwargs)` of each behaviour; those that come later are set up before a tick."""
+        """Call `setup(**kwargs)` of each behaviour.
+
+        Those that come later are set up before a tick.
+        """
         super().setup(timeout, visitor, **kwargs)
         self._setup_arguments = kwargs
         self._present = dict.fromkeys(self.root.iterate())
@@ -76,7 +79,10 @@ class GuardedTree(BehaviourTree):
     def tick(
         self, pre_tick_handler: Handler | None = None, post_tick_handler: Handler | None = None
     ) -> None:
-        """Tick once, with handlers and visitors as in py_trees; if one raises, halt and raise that."""
+        """Tick once, with handlers and visitors as in py_trees.
+
+        If one raises, halt and raise that.
+        """
         try:
             self.errors.clear()
             for handler in filter(None, [pre_tick_handler, *self.pre_tick_handlers]):
@@ -182,7 +188,10 @@ def _ignore(*error: object) -> None:
 
 
 def _is_trusted(behaviour: Behaviour) -> bool:
-    """Tell whether a behaviour needs no guard; with a guard for each, a tick takes a third longer."""
+    """Tell whether a behaviour needs no guard.
+
+    With a guard for each, a tick takes a third longer.
+    """
     kind = type(behaviour)
     if kind in _HARMLESS:
         return True
@@ -192,7 +201,10 @@ def _is_trusted(behaviour: Behaviour) -> bool:
 
 
 class _EndedBadly(Exception):
-    """A behaviour raised when it was stopped after SUCCESS or FAILURE; its guard has reported it."""
+    """A behaviour raised when it was stopped after SUCCESS or FAILURE.
+
+    Its guard has reported it.
+    """
 
 
 _guarded: WeakSet[Behaviour] = WeakSet()
@@ -203,7 +215,8 @@ def _guard(behaviour: Behaviour) -> None:
 
     If it raises while it is interrupted, the interruption goes on.
     """
-    tick, stop = behaviour.tick, behaviour.stop
+    tick = behaviour.tick
+    stop = behaviour.stop
 
     def guarded_tick() -> Iterator[Behaviour]:
         try:
@@ -247,8 +260,8 @@ class TreeRunner:
     """Ticks a tree at a fixed period of a clock that is handed in.
 
     A mission begins when a runner is made for a tree, and ends when the root succeeds or the runner
-    is shut down. Both drop the progress that interrupted actions saved, except what a store keeps for
-    the next program after a shutdown.
+    is shut down. Both drop the progress that interrupted actions saved, except what a store keeps
+    for the next program after a shutdown.
 
     Args:
         root: of the tree.
@@ -257,7 +270,8 @@ class TreeRunner:
         on_error: what happens when a behaviour raises: "fail", the behaviour fails, and its parent
             goes on; or "raise", the tree is stopped, and `tick` raises the exception.
         on_clock_set_back: what happens when the clock shows less than before: "follow", ticks go on
-            at once and durations go on; or "refuse", the tree is stopped, and `ClockError` is raised.
+            at once and durations go on; or "refuse", the tree is stopped, and `ClockError` is
+            raised.
 
     Attributes:
         tree: the py_trees tree; add visitors and handlers to it, and change it between ticks, e.g.
@@ -314,7 +328,8 @@ class TreeRunner:
     def setup(self, **kwargs: Any) -> None:  # noqa: ANN401  # as py_trees has it
         """Call `setup(**kwargs)` of each behaviour, once, before the first tick.
 
-        Behaviours that are inserted later are set up with the same arguments before they are ticked.
+        Behaviours that are inserted later are set up with the same arguments before they are
+        ticked.
         """
         self.tree.setup(**kwargs)
 
@@ -343,7 +358,10 @@ class TreeRunner:
         halt(self.tree.root)
 
     def shutdown(self) -> None:
-        """Stop what is running, release all requests, shut down the tree; raises what that raises."""
+        """Stop what is running, release all requests, shut down the tree.
+
+        Raises what that raises.
+        """
         try:
             self.tree.shutdown()
         finally:
@@ -354,7 +372,8 @@ class TreeRunner:
         return self._clock() + self._set_back_s
 
     def _read_clock(self) -> float:
-        now, before = self._clock(), self._now
+        now = self._clock()
+        before = self._now
         self._now = now
         if now >= before:
             return now

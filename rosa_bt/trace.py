@@ -1,16 +1,18 @@
-"""A trace: the ticks of a tree together with the events of the knowledge base, in JSON lines; it can be replayed.
+"""A trace: the ticks of a tree together with the events of the knowledge base, in JSON lines.
 
-The first line names the version and the model. Each other line is a tick, with the events since the tick before. The
-tree and the visited behaviours are left out of a line if they are as in the tick before. Each line is written when its
-tick is over, so a program that is killed loses only the tick that was under way.
+It can be replayed.
+
+The first line names the version and the model. Each other line is a tick, with the events since the
+tick before. The tree and the visited behaviours are left out of a line if they are as in the tick
+before. Each line is written when its tick is over, so a program that is killed loses only the tick
+that was under way.
 """
 
 import json
-import re
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import chain, pairwise
+from itertools import pairwise
 from pathlib import Path
 from threading import get_ident
 from typing import Any, Final, NamedTuple, Self, TextIO
@@ -26,11 +28,7 @@ from rosa_bt.exceptions import TraceError
 from rosa_bt.runner import TreeRunner
 
 _VERSION: Final = 3
-_CAUSED_BY_TIME: Final = frozenset({"stale", "dwell", "lapse"})
-_KEPT: Final = 10_000
-_ENCODER: Final = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False)
-_ESCAPED: Final = re.compile("[\x85\u2028\u2029\ud800-\udfff]")
-"""Characters that end a line or cannot be written to a file: they are written as escapes."""
+_CAUSED_BY_TIME: Final = ("stale", "dwell", "lapse")
 
 
 class Node(NamedTuple):
@@ -42,7 +40,10 @@ class Node(NamedTuple):
 
 
 class Visit(NamedTuple):
-    """A behaviour that was ticked: its place in `Tick.tree`, and its status, e.g. "RUNNING", and feedback."""
+    """A behaviour that was ticked: its place in `Tick.tree`, and its status, e.g.
+
+    "RUNNING", and feedback.
+    """
 
     node: int
     status: str
@@ -64,7 +65,8 @@ class Told(NamedTuple):
 
     event: Event
     place: int | None
-    """None if the tree told it. Else it came before the behaviour at this place in `visited`; -1: before the tick."""
+    """None if the tree told it. Else it came before the behaviour at this place in `visited`; -1:
+    before the tick."""
 
 
 class Tick(NamedTuple):
@@ -77,64 +79,59 @@ class Tick(NamedTuple):
     visited: tuple[Visit, ...]
     """The behaviours that were ticked, in order: children before parents."""
     events: tuple[Told, ...] = ()
-    """The events since the tick before, in order; a replay tells again those that the tree did not tell."""
+    """The events since the tick before, in order; a replay tells again those that the tree did not
+    tell."""
     reasons: tuple[str, ...] = ()
     """The reason for each time that an action became unfeasible in these events."""
     is_interrupted: bool = False
-    """Whether the tick was cut short, e.g. by Ctrl-C, and the tree halted; all its events count as before the tick."""
+    """Whether the tick was cut short, e.g. by Ctrl-C, and the tree halted; all its events count as
+    before the tick."""
     errors: tuple[tuple[str, str], ...] = ()
     """The behaviours that raised since the tick before, by name, and the text of the exception."""
 
     @property
     def decisions(self) -> tuple[Decision, ...]:
         """The requests, results and changes of feasibility of actions since the end of the tick before."""
-        found, reasons = [], iter(self.reasons)
+        decisions = []
+        reasons = iter(self.reasons)
         for event, _ in self.events:
             if event.verb == "request_action":
-                found.append(Decision(event.subject, "requested", ""))
+                decisions.append(Decision(event.subject, "requested", ""))
             elif event.verb == "cancel_action":
-                found.append(Decision(*event.arguments))
-            for change in filter(_turns, event.changes):
-                if change.new is ElementStatus.UNFEASIBLE:
-                    found.append(Decision(change.name, "unfeasible", next(reasons, "")))
-                else:
-                    found.append(Decision(change.name, "feasible", ""))
-        return tuple(found)
+                decisions.append(Decision(*event.arguments))
+            for change in event.changes:
+                if _becomes_unfeasible(change):
+                    decisions.append(Decision(change.name, "unfeasible", next(reasons, "")))
+                elif change.kind == "action" and change.old is ElementStatus.UNFEASIBLE:
+                    decisions.append(Decision(change.name, "feasible", ""))
+        return tuple(decisions)
 
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """The ticks of a tree, and the name of the model; a trace from memory may lack the first ticks."""
+    """The ticks of a tree, and the name of the model.
+
+    A trace from memory may lack the first ticks.
+    """
 
     model: str
     ticks: tuple[Tick, ...]
 
     def __str__(self) -> str:
-        ticks = (
-            _tick_line(tick, before)
-            for before, tick in pairwise([None, *self.ticks])
-            if tick is not None
-        )
-        return "".join([_first_line(self.model), *ticks])
-
-    def statuses(self, name: str) -> tuple[Status, ...]:
-        """Return the statuses of all behaviours with this name, in the order of ticks; skipped ones are left out."""
-        visits = [
-            visit
-            for tick in self.ticks
-            for visit in tick.visited
-            if tick.tree[visit.node].name == name
-        ]
-        return tuple(
-            Status[visit.status] for visit in visits if visit.status != Status.INVALID.name
-        )
+        lines = [_first_line(self.model)]
+        for before, tick in pairwise([None, *self.ticks]):
+            if tick is not None:
+                lines.append(_tick_line(tick, before))
+        return "".join(lines)
 
 
 class TraceVisitor(VisitorBase):
     """Records every tick: the events before it, which behaviours were ticked, with which status and feedback.
 
-    Add it to the visitors of a tree before the first tick; the trace begins with the first event that the log of the
-    knowledge base still holds. The same run gives the same trace, to the byte. Memory is bounded: it keeps the last
+    Add it to the visitors of a tree before the first tick; the trace begins with the first event
+    that the log of the
+    knowledge base still holds. The same run gives the same trace, to the byte. Memory is bounded:
+        it keeps the last
     ticks; a file keeps all.
 
     Args:
@@ -144,7 +141,7 @@ class TraceVisitor(VisitorBase):
     """
 
     def __init__(
-        self, kb: KnowledgeBase, path: str | Path | None = None, *, keep: int = _KEPT
+        self, kb: KnowledgeBase, path: str | Path | None = None, *, keep: int = 10_000
     ) -> None:
         super().__init__(full=False)
         if keep < 1:
@@ -152,19 +149,24 @@ class TraceVisitor(VisitorBase):
         self._kb = kb
         self._file: TextIO | None = None
         if path is not None:
-            self._file = Path(path).open("w", buffering=1, encoding="utf-8")  # noqa: SIM115  # closed by close()
+            self._file = Path(path).open("w", buffering=1)  # noqa: SIM115  # closed by close()
             self._file.write(_first_line(kb.model.name))
         self._ticks: deque[Tick] = deque(maxlen=keep)
-        self._count = self._done = self._begun = 0
+        self._count = 0
+        self._written = 0  # number of the last event that is written
         self._tree: tuple[Node, ...] = ()
         self._numbers: dict[Behaviour, int] = {}
-        self._seen: list[tuple[Behaviour, Status, str]] = []
-        self._known: list[int] = []
-        self._own: set[int] = set()
         self._reasons: dict[int, list[str]] = {}
         self._errors: list[tuple[str, str]] = []
-        self._thread: int | None = None
+        self._clear()
         kb.log.witnesses += (self._witness,)
+
+    def _clear(self) -> None:
+        self._begun = self._kb.log.last
+        self._thread: int | None = None
+        self._seen: list[tuple[Behaviour, Status, str]] = []
+        self._known: list[int] = []  # for each of them, the last event that it knew of
+        self._own: set[int] = set()  # numbers of the events that the tree told
 
     @property
     def trace(self) -> Trace:
@@ -175,13 +177,15 @@ class TraceVisitor(VisitorBase):
         """Begin a tick: until its end, what this thread tells the knowledge base comes from the tree."""
         if self._thread is not None:
             self.interrupt()
-        self._seen, self._known = [], []
-        self._begun, self._thread = self._kb.log.last, get_ident()
+        self._clear()
+        self._thread = get_ident()
 
     def run(self, behaviour: Behaviour) -> None:
         self._seen.append((behaviour, behaviour.status, behaviour.feedback_message))
-        known = behaviour.last_event if isinstance(behaviour, KbBehaviour) else None
-        self._known.append(self._kb.log.last if known is None else known)
+        known = self._kb.log.last
+        if isinstance(behaviour, KbBehaviour) and behaviour.last_event is not None:
+            known = behaviour.last_event
+        self._known.append(known)
 
     def error(self, behaviour: Behaviour, error: Exception) -> None:
         """Note that a behaviour raised; the tree calls it."""
@@ -190,63 +194,67 @@ class TraceVisitor(VisitorBase):
     def finalise(self) -> None:
         if not all(node in self._numbers for node, _, _ in self._seen):
             self._number()
-        visited = tuple(
-            [Visit(self._numbers[node], status.name, text) for node, status, text in self._seen]
-        )
-        self._write(visited, is_interrupted=False)
+        visits = [
+            Visit(self._numbers[node], status.name, text) for node, status, text in self._seen
+        ]
+        last = max([self._begun, *self._known, *self._own])  # later events are of the next tick
+        self._write(tuple(visits), last)
 
     def interrupt(self) -> None:
-        """End a tick that was cut short; a runner calls this instead of `finalise`, after it has halted the tree."""
-        self._write((), is_interrupted=True)
+        """End a tick that was cut short.
 
-    def _write(self, visited: tuple[Visit, ...], *, is_interrupted: bool) -> None:
+        A runner calls this instead of `finalise`, after it has halted the tree.
+        """
+        self._write((), None)
+
+    def _write(self, visited: tuple[Visit, ...], last: int | None) -> None:
+        """Write a tick with its events up to a number; with all events if it was interrupted."""
+        is_interrupted = last is None
+        told = []
+        reasons = []
         with self._kb.reading():
-            events = [
-                Event(*one[:7]) for one in self._kb.log.since(self._done)
-            ]  # without what is not in a file
+            events = self._kb.log.since(self._written)
             time = float(self._kb.now)
-        if not is_interrupted:  # later events are of the next tick
-            last = max([self._begun, *self._known, *self._own])
-            events = [one for one in events if one.number <= last]
-        self._done = events[-1].number if events else self._done
-        told = tuple(Told(one, -1 if is_interrupted else self._place(one.number)) for one in events)
-        whys = [self._reasons.pop(one.number, [""] * len(_unfeasible(one))) for one in events]
+        for event in events:
+            if last is None or event.number <= last:
+                place = -1 if is_interrupted else self._place(event.number)
+                told.append(Told(Event(*event[:7]), place))  # without what is not in a file
+                count = sum(map(_becomes_unfeasible, event.changes))
+                reasons += self._reasons.pop(event.number, [""] * count)
+                self._written = event.number
         before = self._ticks[-1] if self._ticks else None
         if before is not None and visited == before.visited:
             visited = before.visited  # keep one copy in memory
         tick = Tick(
-            self._count,
-            time,
-            self._tree,
-            visited,
-            told,
-            tuple(chain(*whys)),
-            is_interrupted,
-            tuple(self._errors),
+            *(self._count, time, self._tree, visited, tuple(told), tuple(reasons)),
+            *(is_interrupted, tuple(self._errors)),
         )
-        self._errors.clear()
         if self._file is not None:
             self._file.write(_tick_line(tick, before))
         self._ticks.append(tick)
         self._count += 1
+        self._errors.clear()
         self._thread = None
-        self._own.clear()
 
     def _place(self, number: int) -> int | None:
-        if number <= self._begun or number in self._own:
-            return -1 if number <= self._begun else None
-        return next(
-            (place for place, known in enumerate(self._known) if known >= number), len(self._known)
-        )
+        if number <= self._begun:
+            return -1
+        if number in self._own:
+            return None
+        for place, known in enumerate(self._known):
+            if known >= number:
+                return place
+        return len(self._known)
 
     def _witness(self, event: Event) -> None:
         """Note whether the tree told the event, and why actions became unfeasible with it, as it is explained now.
 
-        What time causes while a tick is under way is not told by the tree: it is replayed in its place.
+        What time causes while a tick is under way is not told by the tree: it is replayed in its
+            place.
         """
         if self._thread == get_ident() and event.verb not in _CAUSED_BY_TIME:
             self._own.add(event.number)
-        names = _unfeasible(event)
+        names = [change.name for change in event.changes if _becomes_unfeasible(change)]
         if names:
             self._reasons[event.number] = [self._kb.why(self._kb.actions[name]) for name in names]
 
@@ -255,7 +263,7 @@ class TraceVisitor(VisitorBase):
         if self._thread is not None:
             self.interrupt()
         log = self._kb.log
-        log.witnesses = tuple(one for one in log.witnesses if one != self._witness)
+        log.witnesses = tuple(other for other in log.witnesses if other != self._witness)
         if self._file is not None:
             self._file.close()
 
@@ -272,28 +280,21 @@ class TraceVisitor(VisitorBase):
             behaviour, depth = pending.pop()
             depths[behaviour] = depth
             pending += [(child, depth + 1) for child in reversed(behaviour.children)]
-        for (
-            behaviour,
-            _,
-            _,
-        ) in self._seen:  # a step of a plan may have left the tree before the end of the tick
+        for behaviour, _, _ in self._seen:  # a step of a plan may have left the tree meanwhile
             depths.setdefault(behaviour, 1)
         self._numbers = {behaviour: number for number, behaviour in enumerate(depths)}
-        self._tree = tuple(
-            Node(depth, type(one).__name__, one.name) for one, depth in depths.items()
-        )
+        nodes = [Node(depth, type(node).__name__, node.name) for node, depth in depths.items()]
+        self._tree = tuple(nodes)
 
 
-def _unfeasible(event: Event) -> list[str]:
-    return [
-        one.name for one in event.changes if _turns(one) and one.new is ElementStatus.UNFEASIBLE
-    ]
-
-
-def _turns(change: StatusChange) -> bool:
-    """Tell whether an action became unfeasible, or is no longer unfeasible."""
+def _becomes_unfeasible(change: StatusChange) -> bool:
+    """Tell whether an action became unfeasible."""
     unfeasible = ElementStatus.UNFEASIBLE
-    return change.kind == "action" and (change.new is unfeasible) != (change.old is unfeasible)
+    return change.kind == "action" and change.new is unfeasible and change.old is not unfeasible
+
+
+def _line(record: dict[str, object]) -> str:
+    return json.dumps(record, separators=(",", ":")) + "\n"
 
 
 def _first_line(model: str) -> str:
@@ -307,19 +308,13 @@ def _tick_line(tick: Tick, before: Tick | None) -> str:
         line["tree"] = tick.tree
     if before is None or tick.visited != before.visited:
         line["visited"] = tick.visited
-    if tick.events:
-        line["events"] = [(event.to_json(), place) for event, place in tick.events]
-    if tick.reasons:
-        line["reasons"] = tick.reasons
-    if tick.is_interrupted:
-        line["interrupted"] = True
-    if tick.errors:
-        line["errors"] = tick.errors
-    return _line(line)
-
-
-def _line(record: Mapping[str, object]) -> str:
-    return _ESCAPED.sub(lambda found: f"\\u{ord(found[0]):04x}", _ENCODER.encode(record)) + "\n"
+    others = {
+        "events": [(event.to_json(), place) for event, place in tick.events],
+        "reasons": tick.reasons,
+        "interrupted": tick.is_interrupted,
+        "errors": tick.errors,
+    }
+    return _line(line | {key: value for key, value in others.items() if value})
 
 
 def read_trace(path: str | Path) -> Trace:
@@ -329,65 +324,51 @@ def read_trace(path: str | Path) -> Trace:
         TraceError: the file cannot be read, or is not a trace; the message names the line.
     """
     try:
-        found = Path(path).read_bytes()
-        whole = (
-            found.rpartition(b"\n")[0] or found
-        )  # the last line is incomplete if the program was killed
-        lines = whole.decode().splitlines()
-    except (OSError, ValueError) as error:
+        content = Path(path).read_bytes()
+    except OSError as error:
         raise TraceError(f"cannot read the trace {path}: {error}") from error
-    if not lines:
-        raise TraceError(f"{path} is empty; a trace begins with a line that says what it is")
-    model, ticks = "", list[Tick]()
-    for number, text in enumerate(lines, start=1):
+    whole = content.rpartition(b"\n")[0] or content  # a program that is killed cuts the last line
+    model = None
+    ticks = list[Tick]()
+    for number, text in enumerate(whole.splitlines(), start=1):
         try:
             line = json.loads(text)
-            if number > 1:
-                ticks.append(_tick_of(line, ticks[-1] if ticks else Tick(0, 0.0, (), ())))
+            if model is not None:
+                ticks.append(_read_tick(line, ticks[-1] if ticks else Tick(0, 0.0, (), ())))
                 continue
-            version, model = line["rosa_bt_trace"], str(line["model"])
+            version = line["rosa_bt_trace"]
+            model = str(line["model"])
         except Exception as error:  # a wrong line may raise anything
-            raise TraceError(
-                f"{path}:{number}: not a line of a trace ({type(error).__name__}: {error})"
-            ) from None
+            problem = f"not a line of a trace ({type(error).__name__}: {error})"
+            raise TraceError(f"{path}:{number}: {problem}") from None
         if version != _VERSION:
             how = f"this program reads version {_VERSION}; `pytest --update-traces` writes a golden one anew"
             raise TraceError(f"{path} has version {version}; {how}")
+    if model is None:
+        raise TraceError(f"{path} is empty; a trace begins with a line that says what it is")
     return Trace(model, tuple(ticks))
 
 
-def _tick_of(line: dict[str, Any], before: Tick) -> Tick:
-    tree = tuple(Node(*node) for node in line["tree"]) if "tree" in line else before.tree
-    visited = (
-        tuple(Visit(*visit) for visit in line["visited"]) if "visited" in line else before.visited
+def _read_tick(line: dict[str, Any], before: Tick) -> Tick:
+    return Tick(
+        number=int(line["tick"]),
+        time=float(line["time"]),
+        tree=tuple(Node(*node) for node in line.get("tree", before.tree)),
+        visited=tuple(Visit(*visit) for visit in line.get("visited", before.visited)),
+        events=tuple(
+            Told(Event.from_json(event), place) for event, place in line.get("events", ())
+        ),
+        reasons=tuple(line.get("reasons", ())),
+        is_interrupted=line.get("interrupted", False),
+        errors=tuple((name, text) for name, text in line.get("errors", ())),
     )
-    told = tuple(Told(Event.from_json(event), place) for event, place in line.get("events", ()))
-    reasons = tuple(map(str, line.get("reasons", ())))
-    for visit in visited if "tree" in line or "visited" in line else ():
-        if visit.node not in range(len(tree)) or visit.status not in Status.__members__:
-            raise ValueError(
-                f"{visit} is of no behaviour of the tree, or has no status of py_trees"
-            )
-    if not all(isinstance(place, int | None) for _, place in told):
-        raise ValueError("the place of an event is a number or null")
-    tick = Tick(
-        int(line["tick"]),
-        float(line["time"]),
-        tree,
-        visited,
-        told,
-        reasons,
-        line.get("interrupted") is True,
-        tuple((str(name), str(text)) for name, text in line.get("errors", ())),
-    )
-    tuple(tick.decisions)  # raises if an event lacks arguments
-    return tick
 
 
 def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Behaviour]) -> Trace:
     """Tell a new knowledge base the events of a trace at their times, tick a new tree, and return its trace.
 
-    The two traces are equal if model and tree are the same and every leaf decides by the knowledge base alone.
+    The two traces are equal if model and tree are the same and every leaf decides by the knowledge
+    base alone.
 
     Args:
         trace: a trace from the first tick on, of a knowledge base whose log was complete.
@@ -398,22 +379,24 @@ def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Be
         TraceError: the first ticks or events are missing, or an event cannot be told again.
         kb.KnowledgeBaseError: an event names something that the model does not have.
     """
-    if trace.ticks and trace.ticks[0].number:
-        raise TraceError(
-            f"the trace begins at tick {trace.ticks[0].number}; keep all ticks, or write them to a file"
-        )
-    first = min((event.number for tick in trace.ticks for event, _ in tick.events), default=1)
+    ticks = trace.ticks
+    if ticks and ticks[0].number:
+        advice = "keep all ticks, or write them to a file"
+        raise TraceError(f"the trace begins at tick {ticks[0].number}; {advice}")
+    first = min([event.number for tick in ticks for event, _ in tick.events], default=1)
     if first != 1:
         raise TraceError(f"the trace begins at event {first}; the log no longer held those before")
-    now = [trace.ticks[0].time if trace.ticks else 0.0]
-    kb = KnowledgeBase(model, clock=lambda: now[0], is_timed=False)
-    runner = TreeRunner(build(kb), clock=lambda: now[0])
-    with _Replay(kb, now, len(trace.ticks) or 1) as visitor:
+    clock = _Clock()
+    if ticks:
+        clock.now = ticks[0].time
+    kb = KnowledgeBase(model, clock=clock, is_timed=False)
+    runner = TreeRunner(build(kb), clock=clock)
+    with _Replay(kb, clock, keep=len(ticks) or 1) as visitor:
         runner.tree.add_visitor(visitor)
-        for tick in trace.ticks:
+        for tick in ticks:
             visitor.tell(event for event, place in tick.events if place == -1)
             if tick.is_interrupted:
-                now[0] = tick.time
+                clock.now = tick.time
                 halt(runner.tree.root)
                 visitor.interrupt()
             else:
@@ -423,43 +406,46 @@ def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Be
         return visitor.trace
 
 
+class _Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
 class _Replay(TraceVisitor):
-    """Tells the events that others than the tree told during a tick, at the same place within the tick.
+    """Tells the events that others than the tree told during a tick, at the same place within the tick."""
 
-    Args:
-        now: a list with one number, the time of the clock of the replay [s].
-        keep: the number of ticks of the trace.
-    """
-
-    def __init__(self, kb: KnowledgeBase, now: list[float], keep: int) -> None:
+    def __init__(self, kb: KnowledgeBase, clock: _Clock, *, keep: int) -> None:
         super().__init__(kb, keep=keep)
-        self._now, self._tick = now, Tick(0, now[0], (), ())
+        self._clock = clock
+        self._end = clock.now
         self._within: deque[tuple[Event, int]] = deque()
         self._own_events: list[Event] = []
-        self._stop_following = kb.subscribe(lambda event: self._follow())
+        kb.subscribe(lambda event: self._follow())
 
     def tell(self, events: Iterable[Event]) -> None:
-        thread, self._thread = (
-            self._thread,
-            None,
-        )  # so that these events do not count as told by the tree
+        thread = self._thread
+        self._thread = None  # these events do not count as told by the tree
         for event in events:
-            self._now[0] = event.time
+            self._clock.now = event.time
             try:
                 self._kb.replay(event)
             except InvalidValue as error:
-                raise TraceError(
-                    f"{event.verb}{event.arguments!r} cannot be told again: {error}"
-                ) from error
+                problem = f"{event.verb}{event.arguments!r} cannot be told again"
+                raise TraceError(f"{problem}: {error}") from error
         self._thread = thread
 
     def expect(self, tick: Tick) -> None:
-        self._tick = tick
-        self._within = deque(
-            (event, place) for event, place in tick.events if place is not None and place >= 0
-        )
-        self._own_events = [event for event, place in tick.events if place is None]
-        self._now[0] = self._own_events[0].time if self._own_events else tick.time
+        self._end = tick.time
+        self._within.clear()
+        self._own_events.clear()
+        for event, place in tick.events:
+            if place is None:
+                self._own_events.append(event)
+            elif place >= 0:
+                self._within.append((event, place))
+        self._set_clock()
 
     def initialise(self) -> None:
         super().initialise()
@@ -470,22 +456,22 @@ class _Replay(TraceVisitor):
         self._follow()
 
     def finalise(self) -> None:
-        self._now[0] = self._tick.time
+        self._clock.now = self._end
         self.tell(event for event, _ in self._within)
         super().finalise()
 
     def _follow(self) -> None:
         """Tell the events that are due, and set the clock to the time of the next event that the tree told."""
-        if self._thread is None:
-            return
-        last = self._kb.log.last
-        while (
-            self._within
-            and self._within[0][1] <= len(self._seen)
-            and self._within[0][0].number == last + 1
-        ):
-            self.tell([self._within.popleft()[0]])
-            last = self._kb.log.last
-        self._now[0] = next(
-            (one.time for one in self._own_events if one.number > last), self._tick.time
-        )
+        log = self._kb.log
+        while self._thread is not None and self._within:
+            event, place = self._within[0]
+            if place > len(self._seen) or event.number != log.last + 1:
+                break
+            self._within.popleft()
+            self.tell([event])
+        if self._thread is not None:
+            self._set_clock()
+
+    def _set_clock(self) -> None:
+        later = [event.time for event in self._own_events if event.number > self._kb.log.last]
+        self._clock.now = later[0] if later else self._end

@@ -1,8 +1,10 @@
 """When to interrupt what gains something for a detour that keeps it feasible, such as refuelling.
 
-A mission states what its actions gain and which detours there are. From the forecasts of the knowledge base follows
-how long the levels last, so each time to leave has a value until the deadline. If leaving now is worth most, the
-actions that the detour interrupts are put off: they are asserted to be unfeasible, with the reason, so that every task
+A mission states what its actions gain and which detours there are. From the forecasts of the
+knowledge base follows how long the levels last, so each time to leave has a value until the
+deadline. If leaving now is worth most, the
+actions that the detour interrupts are put off: they are asserted to be unfeasible, with the reason,
+    so that every task
 layer, explanation and replay sees it. No action becomes feasible in this way.
 """
 
@@ -51,7 +53,8 @@ class Detour:
     Attributes:
         action: its name.
         restores: the values of attributes when it is done, by name.
-        there, back: the time until that, and from then until work goes on [s], as functions of the distance [m].
+        there, back: the time until that, and from then until work goes on [s], as functions of the
+            distance [m].
         spread: share by which both times may be longer or shorter, from 0 to below 1.
     """
 
@@ -70,7 +73,8 @@ class MissionValue:
         deadline: when the mission ends [s, by the clock of the knowledge base].
         gains: the actions that gain something; the one that gains most is done.
         detours: the actions that restore attributes.
-        keep: least values of attributes at the end of a detour, by name; by default their least values in the model.
+        keep: least values of attributes at the end of a detour, by name; by default their least
+            values in the model.
         away: distance of the robot from where detours lead [m].
         unit: unit of the value, for messages.
     """
@@ -87,19 +91,13 @@ class Decision(NamedTuple):
     """What to do now.
 
     Attributes:
-        action: the detour to make, or the action to go on with; None leaves the choice to the task layer.
-        value: expected gain from now until the deadline; None if unknown.
-        low, high: the gain if everything is at its worse, or better, end of what is forecast and stated.
+        action: the detour to make, or the action to go on with; None leaves the choice to the task
+            layer.
         reason: why, in a sentence.
-        detours: start [s] of each detour in this course.
     """
 
     action: str | None = None
-    value: float | None = None
-    low: float | None = None
-    high: float | None = None
     reason: str = ""
-    detours: tuple[float, ...] = ()
 
 
 class Lookahead:
@@ -107,7 +105,8 @@ class Lookahead:
 
     Args:
         kb: the knowledge base; its forecasts say how attributes change.
-        value: what the mission gains, or a function that returns it for each decision; None for nothing stated.
+        value: what the mission gains, or a function that returns it for each decision; None for
+            nothing stated.
         period: least time between two decisions while no status changes [s].
 
     Attributes:
@@ -208,8 +207,8 @@ class ValueSelector(Selector):
 
     Args:
         lookahead: decides when to make a detour; it is updated in each tick.
-        tasks: actions, subtrees that fail when their action becomes unfeasible, or a plan executor. If nothing is
-            stated, this does the same as `first_feasible`.
+        tasks: actions, subtrees that fail when their action becomes unfeasible, or a plan executor.
+            If nothing is stated, this does the same as `first_feasible`.
     """
 
     def __init__(self, name: str, lookahead: Lookahead, tasks: Sequence[Behaviour]) -> None:
@@ -239,9 +238,8 @@ def _check(kb: KnowledgeBase, value: MissionValue) -> None:
 
 
 class _Level(NamedTuple):
-    """An attribute that a detour restores: its value, how fast work and the detour change it by side, its limits."""
+    """An attribute that a detour restores: how fast work and the detour change it by side, its limits."""
 
-    value: float
     work: tuple[float, ...]
     detour: tuple[float, ...]
     full: float
@@ -249,11 +247,19 @@ class _Level(NamedTuple):
     keep: float
 
 
+class _State(NamedTuple):
+    """The time until the deadline [s], the values of the attributes, and the distance [m]."""
+
+    left: float
+    levels: tuple[float, ...]
+    away: float
+
+
 class _Course(NamedTuple):
-    """What is gained, and when detours begin [s from now]."""
+    """What is gained, and when the first detour begins [s from now]; None for none."""
 
     value: float
-    leaves: tuple[float, ...] = ()
+    leave: float | None = None
 
 
 class _Question:
@@ -264,23 +270,23 @@ class _Question:
         self._detour = detour
         self._value = value
         self._now = kb.now
-        self._left = value.deadline - kb.now
-        self.unknown = ""
+        self._problem = ""
         self._levels: list[_Level] = []
-        limits = kb.actions[gain.action].constraints
+        levels = []
         for name, full in detour.restores.items():
-            lowest = [
-                each.value for each in limits if each.attribute == name and ">" in each.operator
-            ]
+            least = -inf
+            for constraint in kb.actions[gain.action].constraints:
+                if constraint.attribute == name and ">" in constraint.operator:
+                    least = max(least, constraint.value)
+            work = self._slopes(kb, name, gain.action)
+            change = self._slopes(kb, name, detour.action)
             keep = value.keep.get(name, kb.model.attributes[name].low)
-            work, away = (self._slopes(kb, name, action) for action in (gain.action, detour.action))
+            self._levels.append(_Level(work, change, full, least, keep))
             level = kb.attributes[name].value
             if level is None:
-                self.unknown = f"{name} is not measured"
-            else:
-                self._levels.append(
-                    _Level(level, work, away, full, max(lowest, default=-inf), keep)
-                )
+                self._problem = f"{name} is not measured"
+            levels.append(level or 0.0)
+        self._state = _State(value.deadline - kb.now, tuple(levels), value.away)
 
     def _slopes(self, kb: KnowledgeBase, name: str, action: str) -> tuple[float, ...]:
         """Return how fast an attribute changes while an action is done, by side [1/s]."""
@@ -292,85 +298,57 @@ class _Question:
             span /= 2
             ahead = kb.forecast(name, span, doing=(action,))
         if now is None or ahead.value is None:
-            self.unknown = self.unknown or ahead.reason
-            return (0.0,) * 3
-        ends = (ahead.low, ahead.value, ahead.high)
-        return tuple(((ahead.value if end is None else end) - now) / span for end in ends)
+            self._problem = self._problem or ahead.reason
+            return (0.0, 0.0, 0.0)
+        low = ahead.value if ahead.low is None else ahead.low
+        high = ahead.value if ahead.high is None else ahead.high
+        return tuple((end - now) / span for end in (low, ahead.value, high))
 
     def decision(self) -> Decision:
         """Return whether to leave now or to go on, with the reason."""
-        gain = self._gain
-        if self.unknown:
-            return Decision(reason=f"as without looking ahead, since {self.unknown}")
-        present = tuple(level.value for level in self._levels)
-        low, course, high = (
-            self._best(side, self._left, present, self._value.away) for side in _SIDES
-        )
-        starts = tuple(self._now + leave for leave in course.leaves)
-        numbers = low.value, course.value, high.value
-        unit = f" {self._value.unit}" if self._value.unit else ""
+        if self._problem:
+            return Decision(reason=f"as without looking ahead, since {self._problem}")
+        state = self._state
+        unit = f" {self._value.unit}".rstrip()
+        low, course, high = (self._best(side, state) for side in _SIDES)
         expected = f"gains {course.value:.3g}{unit} ({low.value:.3g} to {high.value:.3g})"
-        found = Decision(gain.action, course.value, low.value, high.value, "", starts)
-        has_to = self._has_to_leave(present)
-        is_best = bool(course.leaves) and course.leaves[0] == 0.0
-        if not has_to and not (is_best and self._pays(present)):
-            later = (
-                f"; {self._detour.action} at {starts[0]:.0f} s"
-                if starts and starts[0] > self._now
-                else ""
+        action = self._detour.action
+        if self._value.keep and self._arrives(state, 0.0) and not self._arrives(state, 1.0):
+            return Decision(
+                action, f"{action} now: later it would end with less than is to be kept"
             )
-            return found._replace(reason=f"{gain.action} now: that {expected}{later}")
-        if has_to:
-            reason = f"{self._detour.action} now: later it would end with less than is to be kept"
-            return found._replace(action=self._detour.action, reason=reason)
-        late = self._late(0, present)
-        end = self._now + self._lasting(0, present)
-        last = f"leaving at {end:.0f} s, when it has to, gains {late:.3g}{unit}"
-        reason = f"{self._detour.action} now: leaving at {self._now:.0f} s {expected}; {last}"
-        return Decision(self._detour.action, numbers[1], low.value, high.value, reason, starts)
+        if course.leave == 0.0 and self._pays():
+            last = f"leaving at {self._now + self._lasting(0, state):.0f} s, when it has to"
+            gain = f"gains {self._late(0):.3g}{unit}"
+            return Decision(
+                action, f"{action} now: leaving at {self._now:.0f} s {expected}; {last}, {gain}"
+            )
+        later = f"; {action} at {self._now + course.leave:.0f} s" if course.leave else ""
+        return Decision(self._gain.action, f"{self._gain.action} now: that {expected}{later}")
 
-    def _has_to_leave(self, present: tuple[float, ...]) -> bool:
-        """Tell whether a detour can end with what is to be kept if it begins now, but not a second later."""
-        if not self._value.keep:
-            return False
-        arrives = [self._arrives(present, leave) for leave in (0.0, 1.0)]
-        return arrives == [True, False]
-
-    def _arrives(self, present: tuple[float, ...], leave: float) -> bool:
-        """Tell whether enough of each level is left at the end of a detour, at the worse ends of everything."""
-        distance = max(0.0, self._value.away + self._gain.away * leave)
-        longest, _ = self._takes(-1, distance)
-        pairs = zip(self._levels, present, strict=True)
-        ends = [
-            (value + level.work[0] * leave + level.detour[0] * longest, level.keep)
-            for level, value in pairs
-        ]
-        return all(end >= keep for end, keep in ends)
-
-    def _pays(self, present: tuple[float, ...]) -> bool:
+    def _pays(self) -> bool:
         """Tell whether leaving now gains more than leaving when it has to, and at the worse end not less, but for noise."""
-        away = self._value.away
-        noise = self._gain.spread * self._gain.rate * sum(self._takes(0, away))
+        noise = self._gain.spread * self._gain.rate * sum(self._takes(0, self._state.away))
         for side, more in ((0, noise), (-1, -noise)):
-            course = self._leaving(side, self._left, present, away, 0.0, 1)
-            if course is None or course.value <= self._late(side, present) + more:
+            course = self._leaving(side, self._state, 0.0, 1)
+            if course is None or course.value <= self._late(side) + more:
                 return False
         return True
 
-    def _late(self, side: int, present: tuple[float, ...]) -> float:
+    def _late(self, side: int) -> float:
         """Return the value of working as long as the levels allow, and leaving then, if that still gains anything."""
-        work = min(self._left, self._lasting(side, present))
-        course = self._leaving(side, self._left, present, self._value.away, work, 1, is_forced=True)
+        work = self._lasting(side, self._state)
+        course = self._leaving(side, self._state, work, 1, is_forced=True)
         never = self._rate(side) * work
         return never if course is None else max(never, course.value)
 
     def _rate(self, side: int) -> float:
         return self._gain.rate * (1 + side * self._gain.spread)
 
-    def _lasting(self, side: int, present: tuple[float, ...]) -> float:
-        """Return how long the levels suffice for work [s]."""
-        lasting = inf
-        for level, value in zip(self._levels, present, strict=True):
+    def _lasting(self, side: int, state: _State) -> float:
+        """Return how long the levels suffice for work, at most until the deadline [s]."""
+        lasting = state.left
+        for level, value in zip(self._levels, state.levels, strict=True):
             slope = level.work[1 + side]
             if slope < 0.0:
                 lasting = min(lasting, max(0.0, (value - level.least) / -slope))
@@ -380,44 +358,40 @@ class _Question:
         share = 1 - side * self._detour.spread
         return self._detour.there(away) * share, self._detour.back(away) * share
 
-    def _best(
-        self, side: int, left: float, present: tuple[float, ...], away: float, depth: int = 0
-    ) -> _Course:
+    def _away(self, state: _State, leave: float) -> float:
+        return max(0.0, state.away + self._gain.away * leave)
+
+    def _arrives(self, state: _State, leave: float) -> bool:
+        """Tell whether enough of each level is left at the end of a detour, at the worse ends of everything."""
+        longest, _ = self._takes(-1, self._away(state, leave))
+        for level, value in zip(self._levels, state.levels, strict=True):
+            if value + level.work[0] * leave + level.detour[0] * longest < level.keep:
+                return False
+        return True
+
+    def _best(self, side: int, state: _State, depth: int = 0) -> _Course:
         """Return the best course: never leaving, or leaving at the best of some times."""
-        work = min(left, self._lasting(side, present))
+        work = self._lasting(side, state)
         best = _Course(self._rate(side) * work)
         count = _TIMES[depth] if depth < len(_TIMES) else 0
         for number in range(count, -1, -1) if count else ():
-            course = self._leaving(side, left, present, away, work * number / count, depth + 1)
+            course = self._leaving(side, state, work * number / count, depth + 1)
             if course is not None and course.value > best.value + 1e-9:
                 best = course
         return best
 
     def _leaving(
-        self,
-        side: int,
-        left: float,
-        present: tuple[float, ...],
-        away: float,
-        leave: float,
-        depth: int,
-        *,
-        is_forced: bool = False,
+        self, side: int, state: _State, leave: float, depth: int, *, is_forced: bool = False
     ) -> _Course | None:
-        """Return the course that leaves at a time; None if it does not arrive, or arrives too late to gain anything."""
-        distance = max(0.0, away + self._gain.away * leave)
+        """Return the course that leaves at a time.
+
+        None if it does not arrive, or arrives too late to gain anything.
+        """
+        distance = self._away(state, leave)
         there, back = self._takes(side, distance)
-        longest, _ = self._takes(-1, distance)
-        after = left - leave - there - back
-        if after <= 0.0:
+        left = state.left - leave - there - back
+        if left <= 0.0 or not (is_forced or self._arrives(state, leave)):
             return None
-        restored = []
-        for level, value in zip(self._levels, present, strict=True):
-            at_worst = value + level.work[0] * leave + level.detour[0] * longest
-            if at_worst < level.keep and not is_forced:
-                return None
-            restored.append(level.full + min(0.0, level.detour[1 + side]) * back)
-        following = self._best(side, after, tuple(restored), distance, depth)
-        begun = leave + there + back
-        leaves = (leave, *(begun + later for later in following.leaves))
-        return _Course(self._rate(side) * leave + following.value, leaves)
+        levels = [level.full + min(0.0, level.detour[1 + side]) * back for level in self._levels]
+        following = self._best(side, _State(left, tuple(levels), distance), depth)
+        return _Course(self._rate(side) * leave + following.value, leave)

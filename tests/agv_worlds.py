@@ -1,4 +1,4 @@
-"""Buildings of any size, made by chance, and questions about them as PDDL for planners that know of no corridors."""
+"""Random buildings of any size, and questions about them as PDDL."""
 
 import math
 from collections.abc import Iterable
@@ -18,7 +18,7 @@ _GRID_M: Final = 12.0
 
 
 def building_from(said) -> Building:
-    """Make a building of plain data: start, goal, places (x, y) and corridors (from, to, and what else is known)."""
+    """Make a building of plain data: start, goal, places (x, y) and corridors."""
     corridors = {
         name: Corridor(
             (one["from"], one["to"]), **{key: one[key] for key in one if key not in ("from", "to")}
@@ -34,7 +34,8 @@ def generated_building(rng: Generator, places: int = 58, corridors: int = 70) ->
 
     By default it has 58 places and 70 corridors, as the published one.
 
-    A quarter of the corridors are obstructed, a quarter have a few obstacles, and a quarter are dark.
+    A quarter of the corridors are obstructed, a quarter have a few obstacles, and a quarter are
+    dark.
 
     Raises:
         MissionError: too few corridors to connect the places, or more than a grid has.
@@ -72,7 +73,8 @@ def _chosen(pairs: list[tuple[int, int]], places: int, corridors: int) -> list[t
             place = root[place]
         return place
 
-    tree, rest = [], []
+    tree = []
+    rest = []
     for one, two in pairs:
         ends = find(one), find(two)
         if ends[0] == ends[1]:

@@ -18,7 +18,8 @@ settings.load_profile("ci")
 PATIENCE_S = 120.0
 """How long a test waits for what must come; a busy machine is no failure."""
 
-# so much wall-clock time is given by default where a product's default would have a slow machine decide
+# so much wall-clock time is given by default where a product's default would have a slow machine
+# decide
 Planner.__init__.__defaults__ = ("fast-downward-opt", PATIENCE_S)
 KnowledgeBase.query.__defaults__ = (PATIENCE_S,)
 

@@ -1,4 +1,4 @@
-"""An interrupt at any instruction of a call, as Ctrl-C comes: between two steps of Python, wherever the program is."""
+"""An interrupt at any instruction of a call, as Ctrl-C comes."""
 
 import dis
 import gc
@@ -18,8 +18,9 @@ class Interrupted(BaseException):
 
 @cache
 def out_of_reach(code):
-    """Return where nothing can come: a way out of `with` or a function, on which Python looks for no signal."""
-    steps, found = list(dis.get_instructions(code)), set()
+    """Return where no interrupt can come: the exits of `with` and functions."""
+    steps = list(dis.get_instructions(code))
+    found = set()
     for place, step in enumerate(steps):
         if step.opname in ("RETURN_VALUE", "RETURN_CONST"):
             found.add(step.offset)
@@ -30,7 +31,7 @@ def out_of_reach(code):
             begin = place - (
                 place > 0 and steps[place - 1].opname == "SWAP"
             )  # of what is returned out of the block
-            found.update(one.offset for one in steps[begin : place + 5])
+            found.update(step.offset for step in steps[begin : place + 5])
     return found
 
 
@@ -39,18 +40,23 @@ LOOKS = ("CALL", "RESUME", "JUMP_BACKWARD")
 
 
 def interrupted_at(step, call, *, rooms=(ROOM,), harsher=False, handler=None):
-    """Interrupt a call at one of the instructions that it runs in such files; returns whether it came that far.
+    """Interrupt a call at one of the instructions that it runs in such files.
 
-    As signals are, it is at one after which Python looks for them; or, harsher, at any. With a handler that is called
-    there, and the call goes on.
+    Returns whether it came that far.
+
+    As signals are, it is at one after which Python looks for them; or, harsher, at any. With a
+    handler that is called there, and the call goes on.
     """
-    count, before, is_interrupted = 0, {}, False
+    count = 0
+    before = {}
+    is_interrupted = False
 
     def trace(frame, event, _):
         nonlocal count, is_interrupted
         if not frame.f_code.co_filename.startswith(rooms):
             return None
-        frame.f_trace_opcodes, frame.f_trace_lines = True, False
+        frame.f_trace_opcodes = True
+        frame.f_trace_lines = False
         if event == "opcode":
             is_looked = before.get(frame, "RESUME").startswith(LOOKS)
             if (harsher or is_looked) and frame.f_lasti not in out_of_reach(frame.f_code):
@@ -64,7 +70,7 @@ def interrupted_at(step, call, *, rooms=(ROOM,), harsher=False, handler=None):
             before[frame] = dis.opname[frame.f_code.co_code[frame.f_lasti]]
         return trace
 
-    gc.disable()  # what is collected meanwhile is of an earlier case, and swallows what is raised in it
+    gc.disable()  # a finaliser would swallow what is raised in it
     sys.settrace(trace)
     try:
         call()

@@ -1,9 +1,10 @@
-"""The sub-commands of `rosa`, imported when they are called: what they share, and `rosa list` and `rosa settings`."""
+"""The sub-commands of `rosa`: what they share, `rosa list` and `rosa settings`."""
 
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
-import typer
+from typer import Argument, Option, echo
 
 from missions import SUMMARIES
 
@@ -19,6 +20,16 @@ UNFINISHED: Final = 3
 ROBOT: Final = "A mission, a model file (.tql, .owl), or module:NAME that makes a model."
 MISSION: Final = "A name that `rosa list` shows, or module:NAME of your own."
 
+File = Path | None
+Text = str | None
+Texts = list[str] | None
+Breakpoints = Annotated[
+    Texts,
+    Option("--break", metavar="CONDITION", help='Stop at e.g. "inspect_pipeline unfeasible".'),
+]
+Store = Annotated[File, Option(help="Keep what becomes known in this file.")]
+Token = Annotated[str, Option(envvar="ROSA_TOKEN", help="The token of the connection.")]
+
 
 def open_console() -> "Console":
     """Return the console for results; in a pipe or a file, lines are not wrapped."""
@@ -29,12 +40,16 @@ def open_console() -> "Console":
     return console
 
 
-def assignments(texts: Iterable[str], option: str, form: str = "NAME=VALUE") -> dict[str, str]:
-    """Read the values of an option such as `--set NAME=VALUE`, by name; MissionError if one has another form."""
+def assignments(texts: Texts, option: str, form: str = "NAME=VALUE") -> dict[str, str]:
+    """Read the values of an option such as `--set NAME=VALUE`, by name.
+
+    Raises:
+        MissionError: a text has another form.
+    """
     from missions.engine.mission import MissionError
 
     values = {}
-    for text in texts:
+    for text in texts or ():
         name, equals, value = text.partition("=")
         if not equals or not name:
             raise MissionError(f"{option} takes {form}, not {text!r}")
@@ -42,16 +57,25 @@ def assignments(texts: Iterable[str], option: str, form: str = "NAME=VALUE") -> 
     return values
 
 
+def groups(texts: Texts) -> list[list[str]]:
+    """Read the values of an option such as `--exclusive A,B`."""
+    return [[name.strip() for name in text.split(",")] for text in texts or ()]
+
+
 def tree_builder(reference: str) -> Callable[..., object]:
-    """Import a function given as module:callable; MissionError if that fails, or it is no function."""
+    """Import a function given as module:callable.
+
+    Raises:
+        MissionError: it cannot be imported, or it is no function.
+    """
     from missions.engine.mission import MissionError, load
 
-    found: object = load("tree", reference, {}, "none by name, a tree is given as module:callable")
-    if not callable(found):
-        raise MissionError(
-            f"{reference!r} is a {type(found).__name__}, not a function that builds a tree"
-        )
-    return found
+    advice = "none by name, a tree is given as module:callable"
+    builder: object = load("tree", reference, {}, advice)
+    if not callable(builder):
+        kind = type(builder).__name__
+        raise MissionError(f"{reference!r} is a {kind}, not a function that builds a tree")
+    return builder
 
 
 def complain(text: str) -> None:
@@ -62,27 +86,31 @@ def complain(text: str) -> None:
     console.print(f"[bold red]rosa:[/] {escape(text)}")
 
 
+def print_lines(lines: Iterable[object], style: str = "") -> None:
+    console = open_console()
+    for line in lines:
+        console.print(str(line), style=style, markup=False)
+
+
 def list_missions() -> None:
     """List the missions."""
     wide = max(map(len, SUMMARIES)) + 2
     for name, summary in SUMMARIES.items():
-        typer.echo(f"{name:<{wide}}{summary}")
+        echo(f"{name:<{wide}}{summary}")
 
 
 def list_settings(
-    mission: Annotated[str, typer.Argument(help=MISSION)],
-    manager: Annotated[
-        str, typer.Option(help="List what is to be set of this manager, too.")
-    ] = "ours",
+    mission: Annotated[str, Argument(help=MISSION)],
+    manager: Annotated[str, Option(help="Also list the settings of this manager.")] = "ours",
 ) -> None:
-    """List what `rosa run MISSION --set NAME=VALUE` takes, with default, unit, what is allowed, and source."""
+    """List the settings of a mission: default, unit, what is allowed, meaning and source."""
     from missions.engine.managers import options_of
     from missions.engine.mission import find_mission, settings_of
 
-    found, console = find_mission(mission), open_console()
-    for setting in (*options_of(manager, found), *settings_of(found)):
-        default = found.fixed.get(setting.name, setting.default)
+    named = find_mission(mission)
+    for setting in (*options_of(manager, named), *settings_of(named)):
+        default = named.fixed.get(setting.name, setting.default)
         shown = f"{default:g}" if isinstance(default, float) else str(default)
         row = f"{setting.name:<32} {shown:>9} {setting.unit:<8} {setting.allowed}"
-        console.print(row.rstrip(), style="bold", markup=False)
-        console.print(f"    {setting.meaning} [{setting.source}]", style="dim", markup=False)
+        print_lines([row.rstrip()], "bold")
+        print_lines([f"    {setting.meaning} [{setting.source}]"], "dim")

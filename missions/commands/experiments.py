@@ -1,10 +1,7 @@
 """`rosa campaign`, `rosa report` and `rosa learn`: many runs, and what came of them."""
 
 import shlex
-from collections.abc import Callable
-from contextlib import closing
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated
@@ -15,19 +12,14 @@ from rich.markup import escape
 
 from missions.commands import FAILED, ROBOT, open_console
 from missions.engine.mission import MissionError, find_robot, needs
-from missions.experiments.campaign import (
-    Campaign,
-    Store,
-    check_campaign,
-    paper_table,
-    read_campaign,
-    read_store,
-)
+from missions.experiments.campaign import Campaign, check_campaign, paper_table, read_campaign
 from missions.experiments.learning import learn as learned_from
 from missions.experiments.learning import read_runs
-from missions.experiments.workers import Cluster, Processes, Workers, conduct
-from missions.views import report as page
+from missions.experiments.results import Results, Store
+from missions.experiments.workers import cluster as open_cluster
+from missions.experiments.workers import conduct, processes
 from missions.views.console import CampaignProgress
+from missions.views.report import write_report as write_page
 
 
 def campaign(
@@ -66,17 +58,38 @@ def campaign(
         check_campaign(asked)
     folder = out or Path("campaigns") / (asked.name if asked else "")
     console = Console(emoji=False, soft_wrap=True, highlight=False)
+    shown = CampaignProgress(console)
+    started = perf_counter()
     with Store(folder, asked, resume=resume) as store:
-        modules = store.campaign.own_modules
-        words = [str(file)] if modules else []  # a folder must not say what is imported
-        words += ["--runs", str(runs)] if modules and runs is not None else []
-        words += ["--resume", "--out", str(folder), *(["--cluster", cluster] if cluster else [])]
-        again = f"rosa campaign {shlex.join(words)}"
-        open_workers = (
-            partial(Processes, workers) if cluster is None else partial(Cluster, cluster, modules)
-        )
-        if _conduct(console, store, folder, open_workers, retry, again):
-            raise typer.Exit(FAILED)
+        try:
+            chosen = processes(workers) if cluster is None else open_cluster(cluster)
+            title = f"[bold]{escape(store.campaign.name)}[/] in {escape(str(folder))}"
+            console.print(f"{title}, {chosen.size} at a time")
+            with shown.progress:
+                written = conduct(store, folder, chosen, retry=retry, progress=shown)
+        except (KeyboardInterrupt, SystemExit, MissionError):
+            words = [str(file)] if store.campaign.own_modules else []  # see Store
+            words += ["--runs", str(runs)] if words and runs is not None else []
+            words += [
+                "--resume",
+                "--out",
+                str(folder),
+                *(["--cluster", cluster] if cluster else []),
+            ]
+            again = escape(f"rosa campaign {shlex.join(words)}")
+            console.print(
+                f"{shown.count} of {shown.total} runs are done and kept; go on with\n  {again}"
+            )
+            raise
+    took = perf_counter() - started
+    console.print(
+        f"{shown.count} of {shown.total} runs done, {shown.new} of them now in {took:.1f} s"
+        f" ({shown.new / took:.2f} a second); {shown.crashed} crashed"
+    )
+    console.print(f"written: {', '.join(escape(str(path)) for path in written)}")
+    console.print(f"`rosa report {escape(str(folder))}` says what came of it")
+    if shown.crashed:
+        raise typer.Exit(FAILED)
 
 
 def _asked(file: Path | None, table: bool, runs: int | None) -> Campaign | None:
@@ -90,43 +103,9 @@ def _asked(file: Path | None, table: bool, runs: int | None) -> Campaign | None:
     return campaign if runs is None else replace(campaign, runs=runs)
 
 
-def _conduct(
-    console: Console,
-    store: Store,
-    folder: Path,
-    open_workers: Callable[[], Workers],
-    retry: bool,
-    again: str,
-) -> int:
-    shown = CampaignProgress(console)
-    started = perf_counter()
-    try:
-        with closing(open_workers()) as workers, shown.progress:
-            console.print(
-                f"[bold]{escape(store.campaign.name)}[/] in {escape(str(folder))}, {workers.count} at a time"
-            )
-            written = conduct(store, folder, workers, retry=retry, progress=shown)
-    except (KeyboardInterrupt, SystemExit, MissionError):
-        console.print(
-            f"{shown.count} of {shown.total} runs are done and kept; go on with\n  {escape(again)}"
-        )
-        raise
-    took = perf_counter() - started
-    console.print(
-        f"{shown.count} of {shown.total} runs done, {shown.new} of them now in {took:.1f} s"
-        f" ({shown.new / took:.2f} a second); {shown.crashed} crashed"
-    )
-    console.print(f"written: {', '.join(escape(str(path)) for path in written)}")
-    console.print(f"`rosa report {escape(str(folder))}` says what came of it")
-    return shown.crashed
-
-
 def report(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="DIR | RECORDING [RECORDING]", help="A campaign's folder, or one or two runs."
-        ),
+    source: Annotated[
+        Path, typer.Argument(metavar="DIR | RECORDING", help="A campaign's folder, or a recording.")
     ],
     out: Annotated[
         Path | None,
@@ -136,49 +115,27 @@ def report(
             help="Where to write; default: DIR/report, or the recording's name with .html.",
         ),
     ] = None,
-    pages: Annotated[
-        bool, typer.Option("--pages", help="Of a campaign: a page of each run that stands out.")
-    ] = False,
     figures: Annotated[
         list[str] | None, typer.Option("--figure", help="Of a campaign: compare by these.")
     ] = None,
 ) -> None:
-    """Say what came of a campaign, as report.md and report.html; or show a run, or two side by side, as a page.
+    """Write the report on a campaign, as report.md and report.html, or a recording as a page."""
+    if source.is_file() or source.suffix in (".mcap", ".jsonl"):
+        from missions.wires.mcap import read_page
 
-    A run is a recording, or a page that `rosa run MISSION --report FILE.html` wrote.
-    """
-    if len(sources) > 2:
-        raise MissionError(f"one run is shown, or two beside each other, not {len(sources)}")
-    if (
-        len(sources) == 1
-        and not sources[0].is_file()
-        and sources[0].suffix not in (".html", ".mcap")
-    ):
-        kept = read_store(sources[0])
-        with needs("plot", "the report on a campaign"):
-            import matplotlib  # noqa: F401  # it is found out before anything is written
-            import scipy  # noqa: F401  # found out before anything is written
-        from missions.experiments.report import (
-            write_report as write_campaign,
-        )  # draws: only if there is something
-
-        for path in write_campaign(
-            kept, out or sources[0] / "report", pages=pages, figures=figures or ()
-        ):
-            if path.stem == "report":
-                typer.echo(path)
+        target = out or source.with_suffix(".report.html")
+        write_page(target, read_page(source))
+        typer.echo(target)
         return
-    target = out or sources[0].with_name(f"{'-'.join(one.stem for one in sources)}.report.html")
-    page.write_report(target, *map(_page_of, sources))
-    typer.echo(target)
+    results = Results(source)
+    with needs("plot", "the report on a campaign"):  # before anything is written
+        import matplotlib  # noqa: F401
+        import scipy  # noqa: F401
+    from missions.experiments.report import write_report
 
-
-def _page_of(path: Path) -> page.Recorded:
-    if path.suffix not in (".mcap", ".jsonl"):
-        return page.read_page(path)
-    from missions.wires.mcap import read_page
-
-    return read_page(path)
+    for path in write_report(results, out or source / "report", figures=figures or ()):
+        if path.stem == "report":
+            typer.echo(path)
 
 
 def learn(

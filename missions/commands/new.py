@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Final
 
-import typer
+from typer import Argument, Option, echo
 
 from missions.engine.mission import MissionError
 from missions.views.output import files_tried
@@ -35,24 +35,21 @@ NEEDS: Final = {
 
 
 def new(
-    name: Annotated[str, typer.Argument(help="Of the robot: a folder and a Python package.")],
+    name: Annotated[str, Argument(help="Of the robot: a folder and a Python package.")],
     task: Annotated[
-        str, typer.Option(help="How it decides what to do: bt (a behaviour tree), pddl, or both.")
+        str, Option(help="How it decides what to do: bt (a behaviour tree), pddl, or both.")
     ] = "bt",
     ros2: Annotated[
         bool,
-        typer.Option(
-            "--ros2", help="As a colcon package, with a bridge.toml for a robot in ROS 2."
-        ),
+        Option("--ros2", help="As a colcon package, with a bridge.toml for a robot in ROS 2."),
     ] = False,
 ) -> None:
-    """Write a package with model, task logic, world and tests that runs at once; CHANGE marks what is yours."""
+    """Write a package with model, task logic, world and tests; CHANGE marks what is yours."""
     if task not in ("bt", "pddl", "both"):
         raise MissionError(f"--task is {task!r}; there are bt, pddl and both")
     if not name.isidentifier() or name != name.lower() or keyword.iskeyword(name):
-        raise MissionError(
-            f"a robot's name is that of a Python package, such as my_robot; {name!r} cannot be one"
-        )
+        problem = f"such as my_robot; {name!r} cannot be one"
+        raise MissionError(f"a robot's name is that of a Python package, {problem}")
     folder = Path(name)
     if folder.exists() or find_spec(name) is not None:
         raise MissionError(f"there is something named {name} already; give the robot another name")
@@ -64,12 +61,12 @@ def new(
                 file.parent.mkdir(parents=True, exist_ok=True)
                 text = filled((TEMPLATE / template).read_text(encoding="utf-8"), name, parts)
                 file.write_text(text, encoding="utf-8")
-    typer.echo(f"{folder}/README.md says what is where; it runs and is tested by\n  cd {name}")
-    typer.echo(f"  rosa run {name}:MISSION\n  pytest")
+    echo(f"{folder}/README.md says what is where; it runs and is tested by\n  cd {name}")
+    echo(f"  rosa run {name}:MISSION\n  pytest")
 
 
 def filled(text: str, name: str, parts: set[str]) -> str:
-    """Fill in a template: put in the name, and drop each block `#if PART` ... `#fi` of a part that is not wanted."""
+    """Put the name into a template, and drop each block `#if PART` ... `#fi` of other parts."""
     lines, kept = [], [True]
     for line in text.splitlines(keepends=True):
         if line.startswith("#if "):

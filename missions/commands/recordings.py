@@ -1,21 +1,21 @@
-"""`rosa replay` and `rosa record`: decide a recording once more, look into it, or convert it."""
+"""`rosa replay` and `rosa record`: decide a recording again, look into it, or convert it."""
 
 import gc
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from difflib import unified_diff
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Final
 
-import typer
-from rich.console import Console
 from rich.table import Table
+from typer import Exit, Option, Typer
 
 from kb import Event, KnowledgeBaseError
 from kb.files import draft
 from kb.model import differences
-from missions.commands import FAILED, open_console
-from missions.engine.mission import MISSION_STATUS, MISSIONS, MissionError, Verdict
+from missions.commands import FAILED, Breakpoints, File, Text, open_console, print_lines
+from missions.engine.mission import MISSIONS, MissionError, Verdict
+from missions.engine.percepts import MISSION_STATUS
 from missions.engine.recording import line_of, read_recording
 from missions.engine.runner import MissionRun
 from missions.testing.decisions import Decisions
@@ -26,7 +26,7 @@ from missions.views.recorder import RunRecorder
 from missions.views.report import write_report
 from missions.wires.mcap import Bag, is_bag, messages, read_bag, recorded_model, write_in_chunks
 
-record = typer.Typer(
+record = Typer(
     help="Look at a recording, or put it in another form.",
     no_args_is_help=True,
     add_completion=False,
@@ -42,192 +42,160 @@ _SHOWN: Final = 6
 def replay(
     recording: Path,
     mission: Annotated[
-        str | None, typer.Option(help="Who decides: a mission, or module:NAME; as recorded.")
+        Text, Option(help="Who decides: a mission, or module:NAME; default: as recorded.")
     ] = None,
-    task: Annotated[
-        str | None, typer.Option(help="Its task layer, bt or pddl; by default as recorded.")
-    ] = None,
-    report: Annotated[
-        Path | None, typer.Option(help="Write what is decided now as a page, as HTML.")
-    ] = None,
-    heard: Annotated[
-        bool, typer.Option("--heard", help="Show also what was heard, not only what is decided.")
-    ] = False,
-    stop_at: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--break",
-            metavar="CONDITION",
-            help='Stop at a condition, such as "explore unfeasible".',
-        ),
-    ] = None,
+    task: Annotated[Text, Option(help="Its task layer, bt or pddl; default: as recorded.")] = None,
+    report: Annotated[File, Option(help="Write the new decisions as an HTML page.")] = None,
+    heard: Annotated[bool, Option("--heard", help="Show the messages, too.")] = False,
+    stop_at: Breakpoints = None,
 ) -> None:
-    """Decide once more what was recorded; exit with 1 if that differs from what was decided then.
+    """Decide again what was recorded; exit with 1 if that differs from the recorded decisions.
 
-    A recording is a file of `rosa run --record`, or any rosbag2 with diagnostics, with MCAP or sqlite3.
+    A recording is a file of `rosa run --record`, or any rosbag2 with diagnostics.
     """
-    gc.disable()  # messages and events are kept to the end; looking for garbage among them costs a third of the time
+    gc.disable()  # nothing is garbage until the end; looking for it costs a third of the time
     try:
-        bag = (
-            read_bag(recording)
-            if is_bag(recording)
-            else Bag(messages=list(read_recording(recording)))
-        )
+        bag = read_bag(recording) if is_bag(recording) else Bag([*read_recording(recording)])
         run = bag.run or (bag.messages[0].get("run", {}) if bag.messages else {})
-        asked = mission or str(run.get("mission") or "")
-        if not asked:
-            raise MissionError(
-                f"{recording} does not say which mission it is of; name one with --mission"
-            )
-        if not mission and asked not in MISSIONS and ":" not in asked:
-            raise MissionError(
-                f"{recording} is of a mission {asked!r} of your own; name it with --mission module:NAME"
-            )
+        name = mission or str(run.get("mission") or "")
+        if not name:
+            raise MissionError(f"{recording} names no mission; name one with --mission")
+        if not mission and name not in MISSIONS and ":" not in name:
+            advice = "name it with --mission module:NAME"
+            raise MissionError(f"{recording} is of a mission {name!r} of your own; {advice}")
         pages: list[RunRecorder] = []
         runs: list[MissionRun] = []
 
-        def watch(run_anew: MissionRun) -> None:
-            runs.append(run_anew)
-            pages.append(RunRecorder(run_anew, run.get("seed") or 0, {}))
-            watch_breakpoints(run_anew, pages[0].recorder.rows, stop_at or ())
+        def watch(again: MissionRun) -> None:
+            runs.append(again)
+            pages.append(RunRecorder(again, run.get("seed") or 0, {}))
+            watch_breakpoints(again, pages[0].recorder.rows, stop_at or ())
 
-        by = task or run.get("task", "bt")
         watched = watch if report or stop_at else None
-        decisions = decide(bag, asked, task=by, watch=watched, traced=False)
+        task = task or run.get("task", "bt")
+        decisions = decide(bag, name, task=task, watch=watched, traced=False)
     finally:
         gc.enable()
     stopped = runs[0].trouble if runs else None
     if report is not None:
-        words = f"decided once more from {recording.name}"
-        pages[0].end(stopped or Verdict("replayed", words))
+        pages[0].end(stopped or Verdict("replayed", f"decided once more from {recording.name}"))
         write_report(report, pages[0].recorder.recorded)
-    console = open_console()
     if "elements" in bag.run:
-        model = decisions.kb.model
-        try:
-            changed = differences(recorded_model(bag), model, "recording")
-        except KnowledgeBaseError as error:  # of another version
-            changed = [str(error)]
-        if changed:
-            other = f"decided with {model.name}, which is another one:"
-            console.print(f"recorded with the model {bag.run['model']}, {other}", markup=False)
-        _print_differences(console, changed)
+        print_lines(_model_differences(bag, decisions))
     for moment in decisions.timeline:
         if heard or moment.what != "heard":
-            console.print(str(moment), markup=False, soft_wrap=True)
-    _print_notes(console, bag)
+            open_console().print(str(moment), markup=False, soft_wrap=True)
+    _print_notes(bag)
     if decisions.problems:
-        console.print(
-            f"{len(decisions.problems)} parts of messages could not be used, e.g. {decisions.problems[0][1]}"
-        )
+        example = f"could not be used, e.g. {decisions.problems[0][1]}"
+        print_lines([f"{len(decisions.problems)} parts of messages {example}"])
     if stopped is not None:
-        console.print(f"{stopped.reason}\n{stopped.detail}".rstrip(), markup=False)
+        print_lines([f"{stopped.reason}\n{stopped.detail}".rstrip()])
         return
-    silence = _silence(bag, decisions, asked)
+    silence = _silence(bag, decisions, name)
     if silence:
-        console.print(f"{recording} {silence}", markup=False)
-        raise typer.Exit(FAILED)
+        print_lines([f"{recording} {silence}"])
+        raise Exit(FAILED)
     if not bag.events:
         return
-    lines = unified_diff(
-        _decisions(bag, bag.events), _decisions(bag, decisions.events), n=0, lineterm=""
-    )
-    otherwise = [
-        f"{line[0]} {line[1:]}" for line in islice(lines, 2, None) if not line.startswith("@@")
-    ]
+    before, now = (_decisions(bag, events) for events in (bag.events, decisions.events))
+    lines = islice(unified_diff(before, now, n=0, lineterm=""), 2, None)
+    otherwise = [f"{line[0]} {line[1:]}" for line in lines if not line.startswith("@@")]
     if not otherwise:
-        console.print("decided as recorded")
+        print_lines(["decided as recorded"])
         return
-    console.print(
-        f"[bold]decided otherwise from {otherwise[0].split()[1]} s on[/] (-: recorded, +: now)"
-    )
-    _print_differences(console, otherwise)
-    raise typer.Exit(FAILED)
+    start_s = otherwise[0].split()[1]
+    print_lines([f"decided otherwise from {start_s} s on (-: recorded, +: now)"], "bold")
+    print_lines(_first(otherwise))
+    raise Exit(FAILED)
 
 
 @record.command("info")
 def info(recording: Path) -> None:
     """Say what a recording holds, and whether it is whole."""
-    bag, console = read_bag(recording), open_console()
-    known = [(key, bag.run.get(key)) for key in ("mission", "task", "seed", "model")]
-    run = ", ".join(f"{key} {value}" for key, value in known if value is not None)
-    times = [
-        *(float(one["time"]) for one in bag.messages[-1:]),
-        *(one.time for one in bag.events[-1:]),
+    bag = read_bag(recording)
+    values = [
+        f"{key} {bag.run[key]}" for key in ("mission", "task", "seed", "model") if key in bag.run
     ]
-    console.print(f"{recording}: {run or 'no recording of ours'}; {max(times, default=0.0):.1f} s")
+    times = [float(message["time"]) for message in bag.messages[-1:]]
+    times += [event.time for event in bag.events[-1:]]
+    run = ", ".join(values) or "no recording of ours"
+    print_lines([f"{recording}: {run}; {max(times, default=0.0):.1f} s"])
     table = Table("topic", "type", "messages")
     for topic, (kind, count) in sorted(bag.topics.items()):
         table.add_row(topic, kind, str(count))
-    console.print(table)
-    _print_notes(console, bag)
+    open_console().print(table)
+    _print_notes(bag)
     if bag.cut:
-        raise typer.Exit(FAILED)
+        raise Exit(FAILED)
 
 
 @record.command("convert")
 def convert(recording: Path, output: Path) -> None:
-    """Write a recording as MCAP (whole again if it was cut off), or what was heard as lines of JSON, by the suffix."""
+    """Write a recording as MCAP, whole again, or its diagnostics as lines of JSON."""
     if output.suffix not in (".mcap", ".jsonl"):
-        raise MissionError(
-            f"{output} ends in neither .mcap nor .jsonl, which are what a recording is converted to"
-        )
+        raise MissionError(f"{output} ends in neither .mcap nor .jsonl, which can be written")
     bag = Bag()
-    with (
-        files_tried(f"write {output}"),
-        draft(output) as part,
-    ):  # an existing file stays until the new one is complete
+    with files_tried(f"write {output}"), draft(output) as part:
         if output.suffix == ".jsonl":
             bag = read_bag(recording)
             part.write_text("".join(map(line_of, [bag.header(), *bag.messages])), encoding="utf-8")
         else:
             write_in_chunks(part, messages(recording, bag))
         part.replace(output)
-    _print_notes(open_console(), bag)
+    _print_notes(bag)
+
+
+def _model_differences(bag: Bag, decisions: Decisions) -> Iterator[str]:
+    model = decisions.kb.model
+    try:
+        changed = differences(recorded_model(bag), model)
+    except KnowledgeBaseError as error:  # of another version
+        changed = [str(error)]
+    if changed:
+        other = f"decided with {model.name}, which is another one:"
+        yield f"recorded with the model {bag.run['model']}, {other}"
+        yield from _first(changed)
 
 
 def _silence(bag: Bag, decisions: Decisions, mission: str) -> str:
     """Return why a replay heard nothing, in words; empty if it heard something."""
-    messages = [message for message in bag.messages if message["status"]]
-    if not messages:
+    statuses = [message["status"] for message in bag.messages if message["status"]]
+    if not statuses:
         return f"has no message of diagnostics, which is what {mission} hears"
-    texts = {str(status["message"]).casefold() for one in messages for status in one["status"]}
-    is_heard = any(moment.what == "heard" for moment in decisions.timeline)
-    if is_heard or MISSION_STATUS in texts:
+    texts = {str(status["message"]).casefold() for some in statuses for status in some}
+    if MISSION_STATUS in texts or any(moment.what == "heard" for moment in decisions.timeline):
         return ""
-    plural = "s" if len(messages) > 1 else ""
-    count = f"{len(messages)} message{plural}"
+    count = f"{len(statuses)} message{'s' if len(statuses) > 1 else ''}"
     return f"was not understood: nothing in its {count} of diagnostics says anything to {mission}"
 
 
-def _print_notes(console: Console, bag: Bag) -> None:
-    notes = [f"{bag.cut}; all before that is read"] if bag.cut else []
-    for note in [
-        *notes,
-        *(f"not read, {count} times: {problem}" for problem, count in bag.problems.items()),
-    ]:
-        console.print(note, style="yellow", markup=False)
+def _print_notes(bag: Bag) -> None:
+    if bag.cut:
+        print_lines([f"{bag.cut}; all before that is read"], "yellow")
+    problems = bag.problems.items()
+    print_lines((f"not read, {count} times: {problem}" for problem, count in problems), "yellow")
 
 
-def _print_differences(console: Console, lines: Sequence[str]) -> None:
-    for line in [
-        *lines[:_SHOWN],
-        *([f"... and {len(lines) - _SHOWN} more"] if len(lines) > _SHOWN else []),
-    ]:
-        console.print(line, markup=False)
+def _first(lines: Sequence[str]) -> Iterator[str]:
+    yield from lines[:_SHOWN]
+    if len(lines) > _SHOWN:
+        yield f"... and {len(lines) - _SHOWN} more"
 
 
 def _decisions(bag: Bag, events: Iterable[Event]) -> list[str]:
-    """Return a line for each decision up to the end of the recording; what stops a robot by hand is no decision."""
+    """Return a line for each decision up to the end of the recording.
+
+    What stops a robot by hand is no decision.
+    """
     outcomes = [row[3]["outcome"] for _, row in bag.rows if row[1] == "result"]
     is_stopped = bool(bag.cut) or all(outcome == "aborted" for outcome in outcomes)
-    end_s = max(one.time for one in bag.events) + (-_SLACK_S if is_stopped else _SLACK_S)
-    return [_line(one) for one in events if one.verb in _DECISIVE and one.time <= end_s]
+    end_s = max(event.time for event in bag.events) + (-_SLACK_S if is_stopped else _SLACK_S)
+    return [_line(event) for event in events if event.verb in _DECISIVE and event.time <= end_s]
 
 
 def _line(event: Event) -> str:
-    decided = (
-        event.arguments[:2] if event.verb in ("cancel_action", "select") else event.arguments
-    )  # no reason
-    values = ", ".join(str(one) for one in decided if one not in (None, "", (), {}))
-    return f"{event.time:9.3f} s  {event.verb.replace('_', ' ')}: {values}"
+    has_reason = event.verb in ("cancel_action", "select")
+    values = event.arguments[:2] if has_reason else event.arguments
+    text = ", ".join(str(value) for value in values if value not in (None, "", (), {}))
+    return f"{event.time:9.3f} s  {event.verb.replace('_', ' ')}: {text}"

@@ -1,18 +1,27 @@
 """`rosa run`: run a mission, show what happens and why, and write files."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import typer
-from rich.console import Console
+from typer import Argument, Exit, Option
 
 from missions.baselines import open_run
-from missions.commands import FAILED, MISSION, assignments, open_console
-from missions.engine.faults import FORMS, inject, read_fault
+from missions.commands import (
+    FAILED,
+    MISSION,
+    Breakpoints,
+    File,
+    Text,
+    Texts,
+    assignments,
+    open_console,
+    print_lines,
+)
+from missions.engine.faults import FORMS, read_fault
 from missions.engine.mission import MissionError, Verdict, find_mission, needs
 from missions.engine.recording import LineRecorder, header
 from missions.engine.runner import MissionRun, RosaRun
@@ -23,92 +32,55 @@ from missions.views.output import as_json, files_tried, open_files, summary, tim
 from missions.views.recorder import RunRecorder
 from missions.views.report import report as page_of
 
+_MANAGERS = "ours, none, random, bt, fixed, or package:Class; at sea also metacontrol, rosa, ahead."
+
+
+def _fault(verb: str, text: str) -> Any:  # noqa: ANN401  # what typer makes of an option
+    return Option(metavar=FORMS[verb], help=text)
+
 
 def run(
-    mission: Annotated[str, typer.Argument(help=MISSION)],
+    mission: Annotated[str, Argument(help=MISSION)],
     task: Annotated[
-        str | None, typer.Option(help="By a tree (bt) or plans (pddl); default: what is there.")
+        Text, Option(help="By a tree (bt) or plans (pddl); default: what is there.")
     ] = None,
-    manager: Annotated[
-        str,
-        typer.Option(
-            help="ours, none, random, bt, fixed, your own package:Class; in the sea metacontrol, rosa, ahead, too."
-        ),
-    ] = "ours",
-    rules: Annotated[
-        str | None, typer.Option(help="Of the sea: 2024 (the ROSA paper) or 2025.")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of all chance in the run.")] = 0,
-    json: Annotated[Path | None, typer.Option(help="Write the result as JSON.")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Draw the run as a PNG picture.")] = None,
-    report: Annotated[
-        Path | None, typer.Option(help="Write the run as a page to click through, as HTML.")
-    ] = None,
-    timing: Annotated[Path | None, typer.Option(help="Write the compute times as JSON.")] = None,
+    manager: Annotated[str, Option(help=_MANAGERS)] = "ours",
+    rules: Annotated[Text, Option(help="At sea: 2024 (the ROSA paper) or 2025.")] = None,
+    seed: Annotated[int, Option(min=0, help="Seed of all chance in the run.")] = 0,
+    json: Annotated[File, Option(help="Write the result as JSON.")] = None,
+    plot: Annotated[File, Option(help="Draw the run as a PNG picture.")] = None,
+    report: Annotated[File, Option(help="Write the run as an HTML page.")] = None,
+    timing: Annotated[File, Option(help="Write the compute times as JSON.")] = None,
     record: Annotated[
-        Path | None, typer.Option(help="Record as FILE.mcap, or diagnostics as lines of JSON.")
+        File, Option(help="Record as FILE.mcap, or diagnostics as lines of JSON.")
     ] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a setting.")
-    ] = None,
-    fail: Annotated[
-        list[str] | None,
-        typer.Option(metavar=FORMS["fail"], help="Have a component fail at a time [s]."),
-    ] = None,
-    recover: Annotated[
-        list[str] | None,
-        typer.Option(metavar=FORMS["recover"], help="Have a component recover at a time [s]."),
-    ] = None,
-    measure: Annotated[
-        list[str] | None,
-        typer.Option(metavar=FORMS["measure"], help="Replace a measurement from a time [s] on."),
-    ] = None,
-    release: Annotated[
-        list[str] | None,
-        typer.Option(metavar=FORMS["release"], help="End that replacement at a time [s]."),
-    ] = None,
-    stop_at: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--break",
-            metavar="CONDITION",
-            help='Stop at a condition, such as "inspect_pipeline unfeasible".',
-        ),
-    ] = None,
+    settings: Annotated[Texts, Option("--set", metavar="NAME=VALUE", help="Change it.")] = None,
+    fail: Annotated[Texts, _fault("fail", "Fail a component at a time [s].")] = None,
+    recover: Annotated[Texts, _fault("recover", "Recover a component at a time [s].")] = None,
+    measure: Annotated[Texts, _fault("measure", "Replace a measurement from a time [s].")] = None,
+    release: Annotated[Texts, _fault("release", "End that replacement at a time [s].")] = None,
+    stop_at: Breakpoints = None,
     groot2: Annotated[
-        int | None,
-        typer.Option(
-            metavar="PORT",
-            help="Let Groot2 watch the tree, on this TCP port of this machine (1667).",
-        ),
+        int | None, Option(metavar="PORT", help="Let Groot2 watch the tree (port 1667).")
     ] = None,
     live: Annotated[
-        int | None, typer.Option(metavar="PORT", help="Show the run meanwhile as a page (0: any).")
+        int | None, Option(metavar="PORT", help="Show the run as a page meanwhile (0: any port).")
     ] = None,
-    host: Annotated[
-        str, typer.Option(help="Where --live listens; others need the token in the link.")
-    ] = "127.0.0.1",
-    token: Annotated[
-        str | None, typer.Option(help="The token of --host; by default one is made up.")
-    ] = None,
+    host: Annotated[str, Option(help="Where --live listens.")] = "127.0.0.1",
+    token: Annotated[Text, Option(help="The token of --host; default: a random one.")] = None,
     allow_control: Annotated[
-        bool,
-        typer.Option(
-            "--allow-control", help="Allow pause, step and fault injection from the page."
-        ),
+        bool, Option("--allow-control", help="Allow pause, step and fault injection on the page.")
     ] = False,
-    tui: Annotated[
-        bool, typer.Option("--tui", help="Show the run in the terminal while it runs; q leaves.")
-    ] = False,
+    tui: Annotated[bool, Option("--tui", help="Show the run in the terminal; q leaves.")] = False,
     realtime: Annotated[
-        bool, typer.Option("--realtime", help="Run no faster than the wall clock.")
+        bool, Option("--realtime", help="Run no faster than the wall clock.")
     ] = False,
     speed: Annotated[
         float | None,
-        typer.Option(help="Times real time at most, 0: no limit; else 1 with --live and --tui."),
+        Option(help="Times real time at most, 0: no limit; default 1 with --live and --tui."),
     ] = None,
     progress: Annotated[
-        bool, typer.Option("--progress/--no-progress", help="Show what happens meanwhile.")
+        bool, Option("--progress/--no-progress", help="Show what happens meanwhile.")
     ] = True,
 ) -> None:
     """Run a mission, say what happened and why, and exit with 0 if it did what it was for."""
@@ -116,7 +88,9 @@ def run(
         with needs("plot", "a picture of the run"):
             import matplotlib  # noqa: F401  # if it is missing, say so before the run
     chosen = find_mission(mission)
-    changed = assignments(settings or [], "--set") | ({} if rules is None else {"rules": rules})
+    changed = assignments(settings, "--set")
+    if rules is not None:
+        changed["rules"] = rules
     verbs = {"fail": fail, "recover": recover, "measure": measure, "release": release}
     faults = [read_fault(f"{verb} {text}") for verb, texts in verbs.items() for text in texts or ()]
     is_mcap = record is not None and record.suffix == ".mcap"
@@ -127,8 +101,7 @@ def run(
         paths = {"json": json, "plot": plot, "report": report, "timing": timing}
         files = open_files(paths | {"record": None if is_mcap else record})
         opened = open_run(chosen, manager=manager, task=task, seed=seed, settings=changed)
-        if faults:
-            inject(opened, *faults)
+        opened.faults.add(*faults)
         if speed is None:
             speed = 1.0 if realtime or is_shown else 0.0
         steering = Steering(speed)
@@ -168,7 +141,7 @@ def run(
             tree = opened.tree if isinstance(opened, RosaRun) else None
             about = header(opened, seed)["run"]
             bag = McapRecorder(record, opened.kb, tree, page=page.recorder, run=about)
-            stack.callback(_print_refused, console, bag.refused)  # when the file is complete
+            stack.callback(_print_refused, bag.refused)  # when the file is complete
             opened.listen(stack.enter_context(bag))
         with narrator.progress if progress else nullcontext():
             doing = f"task layer: {opened.task}" if manager == "ours" else f"manager: {manager}"
@@ -193,11 +166,11 @@ def run(
 
             files["plot"].finish(draw(page.recorder.recorded))
     if not verdict.success:
-        raise typer.Exit(FAILED)
+        raise Exit(FAILED)
 
 
 def _lines_written(path: Path, stack: ExitStack) -> Callable[[str], None]:
-    """Return a function that writes a line at once, so that a program that is killed leaves what it has heard."""
+    """Return a function that writes a line at once, also for a program that is killed."""
     with files_tried(f"write {path}"):
         file = stack.enter_context(path.open("wb", buffering=0))
 
@@ -208,9 +181,9 @@ def _lines_written(path: Path, stack: ExitStack) -> Callable[[str], None]:
     return write
 
 
-def _print_refused(console: Console, refused: Mapping[str, int]) -> None:
-    for what, count in refused.items():
-        console.print(f"not recorded, {count} times: {what}", style="yellow", markup=False)
+def _print_refused(refused: dict[str, int]) -> None:
+    lines = (f"not recorded, {count} times: {problem}" for problem, count in refused.items())
+    print_lines(lines, "yellow")
 
 
 def _watched(run: MissionRun, page: RunRecorder, steering: Steering) -> Verdict:

@@ -1,11 +1,11 @@
-"""Components that switch in simulated time: each command takes a set time, and scripts can make it go wrong."""
+"""Components that switch in simulated time; scripts can make their commands go wrong."""
 
 import heapq
-import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import count
+from math import inf
 from typing import Final, NamedTuple, Protocol, Self
 
 from kb.elements import Parameters
@@ -20,7 +20,7 @@ class CommandFailed(Exception):
 
 
 class Command(NamedTuple):
-    """A command to a component, given at this time [s]; `parameters` is empty unless they are set by it."""
+    """A command to a component at a time [s]; `parameters` is empty unless it sets them."""
 
     time: float
     verb: str
@@ -29,13 +29,13 @@ class Command(NamedTuple):
 
 
 class Components(Protocol):
-    """The components of a world: each method takes effect at once; it is called when a command is finished.
+    """The components of a world: each method takes effect at once, when a command is finished.
 
     If a method raises, it must not have had an effect; the command has then failed.
     """
 
     def check(self, component: str, parameters: Parameters, /) -> None:
-        """Raise if there is no such component, or it cannot take these parameters; called when a command is given."""
+        """Raise, when a command is given, if there is no such component or parameter."""
 
     def activate(self, component: str, /) -> object: ...
     def deactivate(self, component: str, /) -> object: ...
@@ -71,22 +71,21 @@ class NamedComponents:
 
 
 class Script(NamedTuple):
-    """How a component carries out one kind of command, see `SimulatedComponents.script`; takes None: the default."""
+    """How a component carries out a kind of command: see `SimulatedComponents.script`."""
 
     takes: float | None = None
     fail_first: float = 0
     hangs: bool = False
     lies: bool = False
-    crash_after: float = math.inf
+    crash_after: float = inf
 
 
 class Operation:
-    """A command under way, like `concurrent.futures.Future`, but finished in simulated time, at its `end` [s]."""
+    """A command under way, like `concurrent.futures.Future`, finished in simulated time."""
 
-    def __init__(
-        self, end: float, effect: Callable[[float], object], catch_up: Callable[[], object]
-    ) -> None:
-        self.end, self._effect, self._catch_up = end, effect, catch_up
+    def __init__(self, effect: Callable[[], object], catch_up: Callable[[], object]) -> None:
+        self._effect = effect
+        self._catch_up = catch_up
         self._is_done = False
         self._error: Exception | None = None
 
@@ -104,7 +103,7 @@ class Operation:
 
     def finish(self) -> None:
         try:
-            self._effect(self.end)
+            self._effect()
         except Exception as error:
             self._error = error
         self._is_done = True
@@ -113,11 +112,11 @@ class Operation:
 class SimulatedComponents:
     """A managed system in simulated time: every component obeys unless a script says otherwise.
 
-    Commands to one component are carried out one after the other. See `kb.ManagedSystem` for what they are.
+    Commands to one component are carried out one after the other; see `kb.ManagedSystem`.
 
     Args:
-        clock: gives the time [s].
-        takes: how long a command takes [s], by its verb; verbs that are not named take no time.
+        clock: returns the time [s].
+        takes: how long a command takes [s], by its verb; by default no time.
     """
 
     def __init__(
@@ -126,20 +125,16 @@ class SimulatedComponents:
         components: Components,
         takes: Mapping[str, float] | None = None,
     ) -> None:
-        self._clock, self._components = clock, components
         self.takes = checked_times(takes or {})
-        self._busy_until: dict[str, float] = {}
-        self._under_way: list[tuple[float, int, Operation]] = []
-        self._entered = count()
-        self._scripts: dict[tuple[str, str], Script] = {}
-        self._given: Counter[tuple[str, str]] = Counter()
         self.commands: list[Command] = []
-        self._crash: dict[str, Operation] = {}
-
-    @property
-    def scripted(self) -> tuple[str, ...]:
-        """The names of the components with scripts."""
-        return tuple(dict.fromkeys(component for _, component in self._scripts))
+        self._clock = clock
+        self._components = components
+        self._scripts: dict[tuple[str, str], Script] = {}
+        self._counts: Counter[tuple[str, str]] = Counter()
+        self._busy_until: dict[str, float] = {}
+        self._under_way: list[tuple[float, int, Operation]] = []  # a heap
+        self._numbers = count()
+        self._crashes: dict[str, Operation] = {}
 
     def script(
         self,
@@ -149,13 +144,13 @@ class SimulatedComponents:
         fail_first: float = 0,
         hangs: bool = False,
         lies: bool = False,
-        crash_after: float = math.inf,
+        crash_after: float = inf,
     ) -> Self:
-        """Script how a component behaves from now on; this replaces earlier scripts for the same commands.
+        """Script how a component behaves from now on; replaces scripts for the same commands.
 
         Args:
             component: its name.
-            verbs: the commands that are scripted: "activate", "deactivate", "set_parameters"; none: all.
+            verbs: the commands: "activate", "deactivate", "set_parameters"; none: all.
             takes: how long a command takes [s].
             fail_first: how many commands of each kind fail; `math.inf` for all.
             hangs: commands never end.
@@ -168,33 +163,31 @@ class SimulatedComponents:
         Raises:
             ValueError: no such command, or a number below 0.
         """
-        for name, number in (
-            ("takes", takes or 0.0),
-            ("fail_first", fail_first),
-            ("crash_after", crash_after),
-        ):
-            _check_number(f"{name} of {component} is", number)
+        for number in (takes or 0.0, fail_first, crash_after):
+            checked_times(dict.fromkeys(verbs or VERBS, number))
         for verb in verbs or VERBS:
-            _check_verb(verb)
-            self._given[verb, component] = 0
+            self._counts[verb, component] = 0
             self._scripts[verb, component] = Script(takes, fail_first, hangs, lies, crash_after)
         return self
 
+    @property
+    def scripted(self) -> tuple[str, ...]:
+        """The names of the components with scripts."""
+        return tuple(dict.fromkeys(component for _, component in self._scripts))
+
     def activate(self, component: str, /) -> Operation:
-        start = partial(self._start, component, self._script("activate", component).crash_after)
-        return self._command("activate", component, {}, start)
+        return self._command("activate", component, {}, partial(self._start, component))
 
     def deactivate(self, component: str, /) -> Operation:
         return self._command("deactivate", component, {}, partial(self._stop, component))
 
     def set_parameters(self, component: str, parameters: Parameters, /) -> Operation:
-        taken, obey = dict(parameters), self._components.set_parameters
-        return self._command(
-            "set_parameters", component, taken, lambda time: obey(component, taken)
-        )
+        copy = dict(parameters)
+        effect = partial(self._components.set_parameters, component, copy)
+        return self._command("set_parameters", component, copy, effect)
 
     def is_active(self, component: str, /) -> bool:
-        """Tell whether a component truly runs; one whose activation is under way does not yet."""
+        """Return whether a component truly runs; not while its activation is under way."""
         self.catch_up()
         return self._components.is_active(component)
 
@@ -203,55 +196,54 @@ class SimulatedComponents:
         return self._components.parameters(component)
 
     def next_event(self) -> float:
-        """When a command that is under way ends next, or a component crashes [s]; infinity for never."""
+        """When a command that is under way ends next, or a component crashes [s]; or infinity."""
         self.catch_up()
-        return self._under_way[0][0] if self._under_way else math.inf
+        return self._under_way[0][0] if self._under_way else inf
 
     def catch_up(self) -> bool:
         """Carry out what is due by now, in order of time; return whether anything was."""
-        if not self._under_way:  # mostly
-            return False
-        now, is_any = self._clock() + _AT_ONCE_S, False
-        while self._under_way and self._under_way[0][0] <= now:
+        is_any = False
+        while self._under_way and self._under_way[0][0] <= self._clock() + _AT_ONCE_S:
             heapq.heappop(self._under_way)[2].finish()
             is_any = True
         return is_any
 
-    def _start(self, component: str, crash_after: float, time: float) -> None:
+    def _start(self, component: str) -> None:
         was_active = self._components.is_active(component)
         self._components.activate(component)
-        if not was_active and crash_after < math.inf:
-            stop = self._components.deactivate
-            self._crash[component] = self._enter(time + crash_after, lambda _: stop(component))
+        crash_after = self._script("activate", component).crash_after
+        if not was_active and crash_after < inf:
+            stop = partial(self._components.deactivate, component)
+            self._crashes[component] = self._enter(self._clock() + crash_after, stop)
 
-    def _stop(self, component: str, time: float) -> None:
+    def _stop(self, component: str) -> None:
         self._components.deactivate(component)
-        if component in self._crash:
-            self._crash.pop(component).cancel()
+        if component in self._crashes:
+            self._crashes.pop(component).cancel()
 
     def _command(
-        self, verb: str, component: str, parameters: Parameters, effect: Callable[[float], object]
+        self, verb: str, component: str, parameters: Parameters, effect: Callable[[], object]
     ) -> Operation:
         self._components.check(component, parameters)
-        now, script = self._clock(), self._script(verb, component)
+        now = self._clock()
+        script = self._script(verb, component)
         self.commands.append(Command(now, verb, component, parameters))
-        self._given[verb, component] += 1
+        self._counts[verb, component] += 1
+        number = self._counts[verb, component]
         if script.hangs:
-            return Operation(math.inf, effect, self.catch_up)
-        takes = script.takes if script.takes is not None else self.takes.get(verb, 0.0)
-        end = self._busy_until[component] = max(now, self._busy_until.get(component, 0.0)) + takes
-        if self._given[verb, component] <= script.fail_first:
-            effect = partial(
-                _fail,
-                f"{verb} {component} fails by its script, time {self._given[verb, component]}",
-            )
+            return Operation(effect, self.catch_up)
+        if number <= script.fail_first:
+            effect = partial(_fail, f"{verb} {component} fails by its script, time {number}")
         elif script.lies:
             effect = _nothing
+        takes = self.takes.get(verb, 0.0) if script.takes is None else script.takes
+        end = max(now, self._busy_until.get(component, 0.0)) + takes
+        self._busy_until[component] = end
         return self._enter(end, effect)
 
-    def _enter(self, end: float, effect: Callable[[float], object]) -> Operation:
-        operation = Operation(end, effect, self.catch_up)
-        heapq.heappush(self._under_way, (end, next(self._entered), operation))
+    def _enter(self, end: float, effect: Callable[[], object]) -> Operation:
+        operation = Operation(effect, self.catch_up)
+        heapq.heappush(self._under_way, (end, next(self._numbers), operation))
         return operation
 
     def _script(self, verb: str, component: str) -> Script:
@@ -259,26 +251,18 @@ class SimulatedComponents:
 
 
 def checked_times(takes: Mapping[str, float]) -> Mapping[str, float]:
-    """Return how long commands take by verb [s]; ValueError if there is no such command, or a number is below 0."""
-    for verb, seconds in takes.items():
-        _check_verb(verb)
-        _check_number(f"{verb} takes", seconds)
+    """Return numbers by verb; ValueError if there is no such command, or one is below 0."""
+    for verb, number in takes.items():
+        if verb not in VERBS:
+            raise ValueError(f"{verb!r} is no command; commands are {', '.join(VERBS)}")
+        if not (isinstance(number, int | float) and number >= 0):
+            raise ValueError(f"{verb} takes {number!r}; allowed is a number from 0")
     return takes
 
 
-def _check_verb(verb: str) -> None:
-    if verb not in VERBS:
-        raise ValueError(f"{verb!r} is no command; commands are {', '.join(VERBS)}")
-
-
-def _check_number(what: str, number: object) -> None:
-    if not (isinstance(number, int | float) and number >= 0):
-        raise ValueError(f"{what} {number!r}; allowed is a number from 0")
-
-
-def _nothing(time: float) -> None:
+def _nothing() -> None:
     """Have no effect."""
 
 
-def _fail(text: str, time: float) -> None:
+def _fail(text: str) -> None:
     raise CommandFailed(text)

@@ -1,21 +1,12 @@
-"""Open a run of a mission under a manager: ours, one that it is compared with, or one of your own."""
+"""Open a run of a mission under a manager: ours, one that it is compared with, or your own."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from missions.engine.mission import (
-    Mission,
-    MissionError,
-    World,
-    blamed,
-    built,
-    load,
-    needs,
-    split_settings,
-)
+from missions.engine.mission import Mission, World, blamed, built, load, needs, split_settings
 from missions.engine.runner import OURS, MissionRun, RosaRun
-from missions.engine.settings import RunSettings, Setting
+from missions.engine.settings import MissionError, RunSettings, Setting
 from missions.engine.task_layer import TASK_KINDS, check_task
 
 if TYPE_CHECKING:
@@ -37,7 +28,7 @@ POLICIES: Final = {
     "fixed": "missions.baselines.policies:Fixed",
     "bt": "missions.baselines.policies:ByHand",
 }
-"""Where the managers of every other mission are defined; in the sea, those of `SEA_MANAGERS` go first."""
+"""Where the managers of every other mission are defined; in the sea, `SEA_MANAGERS` go first."""
 
 
 class ManagerBase(ABC):
@@ -45,10 +36,10 @@ class ManagerBase(ABC):
 
     Attributes:
         tasks: names of the task layers that it goes with.
-        options: settings of the manager that can be given from outside.
+        options: settings of the manager that can be set from outside.
     """
 
-    tasks: ClassVar[tuple[str, ...]] = ("bt", "pddl")
+    tasks: ClassVar[tuple[str, ...]] = TASK_KINDS
     options: ClassVar[tuple[Setting, ...]] = ()
 
     @classmethod
@@ -74,31 +65,28 @@ ManagerType = type[ManagerBase]
 
 
 def find_manager(name: str | ManagerType, mission: Mission) -> ManagerType:
-    """Return the class of a manager, given by its name, by "package:Class", or as the class itself.
+    """Return the class of a manager by its name, by "package:Class", or as the class itself.
 
     Raises:
         MissionError: no such manager, or it does not go with the mission; lists those that exist.
     """
-    manager: Any = name if isinstance(name, type) else _load_manager(name, mission)
+    manager: Any = name
+    if isinstance(name, str):
+        homes = POLICIES | (SEA_MANAGERS if is_in_sea(mission) else {})
+        existing = f"{', '.join((OURS, *homes))}; one of your own is given as package:Class"
+        if name in SEA_MANAGERS and name not in homes:
+            existing += f"; {name} manages the vehicle of the sea only"
+        manager = load("manager", name, homes, existing)
     if not (isinstance(manager, type) and issubclass(manager, ManagerBase)):
-        given = getattr(name, "__name__", name)
-        raise MissionError(f"{given!r} is no subclass of missions.baselines.Policy or Manager")
-    if mission.selects:
-        raise MissionError(
-            f"the task layer of mission {mission.name} selects configurations; run it under {OURS}"
-        )
+        title = getattr(name, "__name__", name)
+        raise MissionError(f"{title!r} is no subclass of missions.baselines.Policy or Manager")
     refusal = manager.refusal(mission)
+    if mission.selects:
+        title = f"the task layer of mission {mission.name}"
+        refusal = f"{title} selects configurations; run it under {OURS}"
     if refusal:
         raise MissionError(refusal)
     return manager
-
-
-def _load_manager(name: str, mission: Mission) -> Any:  # noqa: ANN401  # the caller checks it
-    homes = POLICIES | (SEA_MANAGERS if is_in_sea(mission) else {})
-    existing = f"{', '.join((OURS, *homes))}; one of your own is given as package:Class"
-    if name in SEA_MANAGERS and name not in homes:
-        existing += f"; {name} manages the vehicle of the sea only"
-    return load("manager", name, homes, existing)
 
 
 def is_in_sea(mission: Mission) -> bool:
@@ -111,31 +99,13 @@ def is_in_sea(mission: Mission) -> bool:
 def manager_name(manager: ManagerType) -> str:
     """Return the registered name of a manager, else "package:Class"."""
     home = f"{manager.__module__}:{manager.__qualname__}"
-    for name, registered in (*SEA_MANAGERS.items(), *POLICIES.items()):
-        if registered == home:
-            return name
-    return home
+    names = {home: name for homes in (POLICIES, SEA_MANAGERS) for name, home in homes.items()}
+    return names.get(home, home)
 
 
 def options_of(manager: str | ManagerType, mission: Mission) -> tuple[Setting, ...]:
     """Return the options of a manager; ours has none."""
     return () if manager == OURS else find_manager(manager, mission).options
-
-
-def check_run(
-    mission: Mission, manager: str | ManagerType, task: str | None
-) -> tuple[ManagerType | None, str]:
-    """Return the manager (None: ours) and the task layer; MissionError unless both go together."""
-    manager_type = None if manager == OURS else find_manager(manager, mission)
-    tasks = TASK_KINDS if manager_type is None else manager_type.tasks
-    if task is None:
-        task = tasks[-1 if mission.tree is None else 0]
-    check_task(task)
-    if task not in tasks:
-        raise MissionError(
-            f"--task {task} is a task layer of ours; --manager {manager} comes without one"
-        )
-    return manager_type, task
 
 
 def open_run(
@@ -151,16 +121,24 @@ def open_run(
     Args:
         mission: what to run.
         manager: the name of a manager, "package:Class", or the class itself.
-        task: our task layer, "bt" or "pddl", by default the mission's; some managers bring their own.
+        task: our task layer, "bt" or "pddl", by default the mission's; some managers have none.
         seed: seed of all chance in the run.
-        settings: values that differ from the defaults, by name; a unit at the end may be left out.
+        settings: values that differ from the defaults; a unit at the end of a name may be left out.
 
     Raises:
         MissionError: no such manager, task layer or setting, or they do not go together.
     """
     import numpy
 
-    manager_type, task = check_run(mission, manager, task)
+    manager_type = None if manager == OURS else find_manager(manager, mission)
+    tasks = TASK_KINDS if manager_type is None else manager_type.tasks
+    if task is None:
+        task = tasks[-1 if mission.tree is None else 0]
+    check_task(task)
+    if task not in tasks:
+        raise MissionError(
+            f"--task {task} is a task layer of ours; --manager {manager} comes without one"
+        )
     options = () if manager_type is None else manager_type.options
     run_settings, world_settings, values = split_settings(mission, settings or {}, options)
     rng = numpy.random.default_rng(seed)

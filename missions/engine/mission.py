@@ -1,17 +1,13 @@
-"""What a mission is: its model, its task logic as a tree and as PDDL, its world, and how it is found by its name."""
+"""What a mission is: its model, its task logic as a tree and as PDDL, its world; and finding it."""
 
 from abc import ABC, abstractmethod
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import import_module
 from inspect import Parameter, signature
-from math import inf
-from numbers import Real
 from operator import attrgetter
 from pathlib import Path
-from traceback import extract_tb
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
 
 from py_trees.behaviour import Behaviour
@@ -20,6 +16,9 @@ from py_trees.trees import BehaviourTree
 
 from kb import KnowledgeBase, KnowledgeBaseError, ManagedSystem, Model
 from missions import SUMMARIES
+from missions.engine.percepts import MISSION_STATUS as MISSION_STATUS
+from missions.engine.percepts import Message as Message
+from missions.engine.percepts import Percepts as Percepts
 from missions.engine.settings import MissionError as MissionError
 from missions.engine.settings import RunSettings, declared, full_names, near, read_values
 from missions.engine.settings import Setting as Setting
@@ -29,81 +28,7 @@ from rosa_pddl.exceptions import RosaPddlError
 if TYPE_CHECKING:
     from numpy.random import Generator
 
-
 T = TypeVar("T")
-
-Message = Mapping[str, Any]
-"""Diagnostics as they travel: `{"time": s, "status": [{"name": ..., "message": ..., "values": {...}}, ...]}`."""
-
-NUMBER: Final = (float, int, Real)
-"""What counts as a number that a world gives; the usual types come first, as that is quickest."""
-_OBJECT: Final = (dict, Mapping)
-
-
-def check_message(message: Any, where: str) -> None:  # noqa: ANN401  # it may be anything before it is checked
-    """Check that this is diagnostics as they travel; MissionError if not, which names where it is from."""
-    said: Any = message if isinstance(message, _OBJECT) else {}
-    time, statuses = said.get("time"), said.get("status")
-    if not isinstance(time, NUMBER) or isinstance(time, bool) or not 0 <= float(time) < inf:
-        wanted = 'a message is an object with a number "time" [s] from 0 and a list "status"'
-        raise MissionError(f"{where}: {wanted}, not {message!r:.100}")
-    for one in statuses if isinstance(statuses, list | tuple) else (statuses,):
-        values = one.get("values") if isinstance(one, _OBJECT) else None
-        if not isinstance(values, _OBJECT) or not isinstance(one.get("message"), str):
-            wanted = 'each "status" is an object with a text "message" and an object "values"'
-            raise MissionError(f"{where}: {wanted}, not {one!r:.100}")
-        for name in values:
-            if not isinstance(name, str):
-                raise MissionError(f'{where}: the names in "values" are texts, not {name!r:.100}')
-
-
-MISSION_STATUS: Final = "mission status"
-
-
-class Percepts:
-    """Receives the same messages as the knowledge base and keeps the statuses with the text "mission status".
-
-    The knowledge base ignores these; a mission's conditions look at them, e.g. whether something is found.
-
-    Attributes:
-        revision: how many such statuses were received; while it stays the same, so does all that was sensed.
-    """
-
-    def __init__(self) -> None:
-        self._said: dict[str, str] = {}
-        self._times: Counter[str] = Counter()
-        self.revision = 0
-
-    def receive(self, message: Mapping[str, Any]) -> Sequence[str]:
-        """Take in one message: `{"time": ..., "status": [{"message": ..., "values": {...}}, ...]}`.
-
-        Returns:
-            The keys that hold now and did not before, or the other way round.
-        """
-        held: dict[str, bool] = {}
-        for status in message["status"]:
-            if str(status["message"]).casefold() == MISSION_STATUS:
-                self.revision += 1
-                for key, value in status["values"].items():
-                    held.setdefault(key, self.holds(key))
-                    self._said[key] = str(value)
-                    self._times[key] += 1
-        return [key for key, before in held.items() if self.holds(key) is not before]
-
-    def holds(self, key: str) -> bool:
-        """Return whether the last value of a key was "true"; False if it was never received."""
-        return self._said.get(key, "").casefold() == "true"
-
-    def value(self, key: str) -> float | None:
-        """Return the last value of a key as a number; None if it is no number or was never received."""
-        try:
-            return float(self._said[key])
-        except (KeyError, ValueError):
-            return None
-
-    def count(self, key: str) -> int:
-        """Return how often a key was received."""
-        return self._times[key]
 
 
 class Condition(Behaviour):
@@ -117,8 +42,11 @@ class Condition(Behaviour):
         return Status.SUCCESS if self._holds() else Status.FAILURE
 
 
+# ---------------------------------------------------------------- the world
+
+
 class Reaction(Protocol):
-    """A reaction to an uncertainty: its name, when it was reported first, and when the reaction was in force [s]."""
+    """A reaction to an uncertainty: its name, when it was first reported, and when applied [s]."""
 
     @property
     def uncertainty(self) -> str: ...
@@ -153,8 +81,8 @@ class Verdict(NamedTuple):
     """How a mission ended.
 
     Attributes:
-        outcome: a word, e.g. "inspected_all"; "time_limit" for what was done as well as time allowed; "not_found",
-            "aborted" and "ended_early" (the task ended short of the goal) are no successes, all others are.
+        outcome: a word, e.g. "inspected_all"; "time_limit" if as much was done as time allowed;
+            "not_found", "aborted" and "ended_early" (short of the goal) are the only failures.
         detail: further text for the person at this machine; not part of the result.
     """
 
@@ -169,9 +97,10 @@ class Verdict(NamedTuple):
 
 
 class World(ABC):
-    """Where a mission happens: a simulator, robot or recording. Only `now`, `managed` and `advance` are required.
+    """Where a mission happens: a simulator, robot or recording.
 
-    A run checks what these methods give, and says which one gives something else.
+    Only `now`, `managed` and `advance` are required. A run names the method that fails or returns
+    something of the wrong type.
     """
 
     @property
@@ -186,15 +115,15 @@ class World(ABC):
 
     @abstractmethod
     def advance(self, until: float) -> list[Message]:
-        """Let time pass until news is published, a command ends, or it is `until` [s]; return a list of messages."""
+        """Let time pass until news is published, a command ends, or it is `until` [s]."""
 
     @property
     def is_still(self) -> bool:
-        """Whether nothing that decisions depend on changes any more unless something is commanded."""
+        """Whether nothing that decisions depend on changes unless something is commanded."""
         return False
 
     def results(self) -> Mapping[str, float | None]:
-        """Return the mission's figures up to now by name, units in the names; None for what did not happen."""
+        """Return the mission's figures up to now, units in the names; None: did not happen."""
         return {}
 
     def reactions(self) -> Sequence[Reaction]:
@@ -213,8 +142,8 @@ class World(ABC):
         """Return what a map of the place shows: arrays (n, 2) of x and y [m] by name."""
         return {}
 
-    def close(self) -> None:  # noqa: B027  # a world that holds nothing has nothing to release
-        """Release what the world holds."""
+    def close(self) -> None:  # noqa: B027  # most worlds have nothing to release
+        """Release what the world uses."""
 
 
 class WorldKind(ABC):
@@ -232,9 +161,9 @@ class WorldKind(ABC):
     def verdict(
         self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase
     ) -> Verdict:
-        """Return whether the goal of a mission is reached, or else what was not done in time.
+        """Judge a run by what was sensed, its figures and what was done.
 
-        Judge it by what was sensed, the figures and what was done. The caller finds out whether the task ended early.
+        The caller finds out whether the task ended early.
         """
 
     def settings(self) -> tuple[Setting, ...]:
@@ -242,18 +171,26 @@ class WorldKind(ABC):
         return ()
 
 
-_CALLED: Final = {  # the arguments of each function of a mission; tree and by_hand may be None
-    **{
-        "model": "",
-        "tree": "kb, percepts",
-        "by_hand": "kb, percepts, managed",
-        "facts": "kb, percepts",
-    },
-    **{
-        "why_not": "kb, percepts",
-        "world.open": "values, rng",
-        "world.verdict": "percepts, results, kb",
-    },
+# ---------------------------------------------------------------- the mission
+
+_FIELDS: Final = {
+    "world": (lambda value: isinstance(value, WorldKind), "an object of a subclass of WorldKind"),
+    "actions": (
+        lambda value: isinstance(value, Mapping),
+        "a mapping of PDDL actions to behaviours",
+    ),
+    "domain": (lambda value: not isinstance(value, str), "a pathlib.Path"),
+    "problem": (lambda value: not isinstance(value, str), "a pathlib.Path"),
+    "engines": (lambda value: not isinstance(value, str), "a tuple of names"),
+}
+_PARAMETERS: Final = {  # tree and by_hand may be None
+    "model": "",
+    "tree": "kb, percepts",
+    "by_hand": "kb, percepts, managed",
+    "facts": "kb, percepts",
+    "why_not": "kb, percepts",
+    "world.open": "values, rng",
+    "world.verdict": "percepts, results, kb",
 }
 
 
@@ -269,19 +206,21 @@ class Mission:
         world: where it happens.
         domain: PDDL file with the same task logic as actions; None for a mission with a tree only.
         problem: PDDL file with objects, facts and goal, or a function that returns its text.
-        actions: by PDDL action, the behaviour that does it; the same as in the tree. One with a parameter `step` is also given the `rosa_pddl.Step` that it does.
-        facts: returns what holds now, by what is known and was sensed, as in the PDDL problem: facts such as
-            {"(lit room)": True}, and numbers for costs such as {"(length a b)": 3.5}.
-        engines: names of planning engines, see `rosa_pddl.Planner`: the first one plans, the others if it fails;
-            empty for the default.
+        actions: by PDDL action, the behaviour that does it; the same as in the tree. One with a
+            parameter `step` also receives the `rosa_pddl.Step` that it does.
+        facts: returns what holds now, as in the PDDL problem: facts such as {"(lit room)": True},
+            and numbers for costs such as {"(length a b)": 3.5}.
+        engines: names of planning engines, see `rosa_pddl.Planner`: the first one plans, the others
+            if it fails; empty for the default.
         fixed: settings of the world that belong to this mission.
-        why_not: returns why the goal cannot be reached, by what is known and was sensed; empty if it cannot tell.
-            If it returns a reason, the mission ends as soon as its world `is_still`.
-        by_hand: builds a tree that commands the managed system itself, for comparison: `--manager bt`.
-        selects: whether the task layer selects configurations itself, so that no other manager can run it.
+        why_not: returns why the goal cannot be reached, by what is known and was sensed; empty if
+            it cannot tell. With a reason, the mission ends as soon as its world `is_still`.
+        by_hand: builds a tree that commands the managed system itself, for `--manager bt`.
+        selects: whether the task layer selects configurations, so that only ours can manage it.
 
     Raises:
-        MissionError: a field has the wrong type, a function takes other arguments, or there is no task.
+        MissionError: a field has the wrong type, a function has other parameters, or there is no
+            task.
     """
 
     name: str
@@ -300,49 +239,44 @@ class Mission:
     selects: bool = False
 
     def __post_init__(self) -> None:
-        self._check(
-            "world", isinstance(self.world, WorldKind), "an object of a subclass of WorldKind"
-        )
-        self._check(
-            "actions", isinstance(self.actions, Mapping), "a mapping of PDDL actions to behaviours"
-        )
-        self._check("domain", not isinstance(self.domain, str), "a pathlib.Path")
-        self._check("problem", not isinstance(self.problem, str), "a pathlib.Path")
-        self._check("engines", not isinstance(self.engines, str), "a tuple of names")
-        for name, arguments in _CALLED.items():
-            if (given := attrgetter(name)(self)) is not None or name not in ("tree", "by_hand"):
-                self._check(name, callable(given), "a function")
-                self._check_call(name, given, arguments)
+        for name, (is_fit, expected) in _FIELDS.items():
+            self._check(name, is_fit, expected)
+        for name, parameters in _PARAMETERS.items():
+            function = attrgetter(name)(self)
+            if function is None and name in ("tree", "by_hand"):
+                continue
+            self._check(name, callable, "a function")
+            try:
+                signature(function).bind(*parameters.split())
+            except TypeError as error:
+                raise MissionError(
+                    f"{name} of mission {self.name} is called with ({parameters}), but takes "
+                    f"{signature(function)}: {error}; give it these parameters"
+                ) from error
+            except ValueError:  # not written in Python
+                continue
         if self.tree is None and self.problem is None:
             raise MissionError(
                 f"mission {self.name} has no task: give it a tree, or a PDDL domain and problem"
             )
 
-    def _check(self, name: str, is_fit: bool, expected: str) -> None:
-        if not is_fit:
+    def _check(self, name: str, is_fit: Callable[[Any], bool], expected: str) -> None:
+        value = attrgetter(name)(self)
+        if not is_fit(value):
             raise MissionError(
-                f"{name} of mission {self.name} is {getattr(self, name)!r}; expected is {expected}"
+                f"{name} of mission {self.name} is {value!r}; expected is {expected}"
             )
 
-    def _check_call(self, name: str, given: Callable[..., object], arguments: str) -> None:
-        with suppress(
-            ValueError
-        ):  # one that was not written in Python may not say how it is called
-            takes = signature(given)
-            try:
-                takes.bind(*arguments.split())
-            except TypeError as error:
-                called = (
-                    f"{name} of mission {self.name} is called with ({arguments}), but takes {takes}"
-                )
-                raise MissionError(f"{called}: {error}; give it these parameters") from error
+
+# ---------------------------------------------------------------- an author's code
 
 
 @contextmanager
 def blamed(what: Callable[[], str], *, is_authors: bool = True) -> Iterator[None]:
-    """Turn exceptions of an author's code that are not ours into a MissionError that says what failed.
+    """Turn an exception of an author's code into a MissionError that says what failed, and where.
 
-    With `is_authors` false, the code inside is ours and may call an author's; what raises there alone stays as it is.
+    With `is_authors` false, the code inside is ours and may call an author's: an exception without
+    a line of an author's code is ours, and stays as it is.
     """
     try:
         yield
@@ -355,146 +289,140 @@ def blamed(what: Callable[[], str], *, is_authors: bool = True) -> Iterator[None
         raise MissionError(f"{what()}: {type(error).__name__}: {error}{line}") from error
 
 
-def built(title: str, kind: type[T], build: Callable[..., object], *given: object) -> T:
-    """Call a function of an author with as many of these arguments as it requires, and return what it makes.
+def built(title: str, kind: type[T], build: Callable[..., object], *arguments: object) -> T:
+    """Call an author's function with as many of the arguments as it requires; check the result.
 
     Raises:
-        MissionError: it fails, or makes something of another type. (Of a `BehaviourTree` the root is returned.)
+        MissionError: it fails, or the result is of another type. (Of a `BehaviourTree` the root is
+            returned.)
     """
     with blamed(lambda: f"cannot build {title}"):
-        parameters = signature(build).parameters.values() if given else ()
-        places = [
-            one.default
-            for one in parameters
-            if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)
-        ]
-        made = build(*given[: places.count(Parameter.empty)])
-    made = made.root if isinstance(made, BehaviourTree) else made
-    if not isinstance(made, kind):
-        wanted = "py_trees behaviour" if kind is Behaviour else kind.__name__
-        raise MissionError(f"{title} is {made!r:.100}, not a {wanted}")
-    return made
+        count = 0
+        for parameter in signature(build).parameters.values() if arguments else ():
+            is_place = parameter.kind in (
+                Parameter.POSITIONAL_ONLY,
+                Parameter.POSITIONAL_OR_KEYWORD,
+            )
+            count += is_place and parameter.default is Parameter.empty
+        result = build(*arguments[:count])
+    if isinstance(result, BehaviourTree):
+        result = result.root
+    if not isinstance(result, kind):
+        expected = "py_trees behaviour" if kind is Behaviour else kind.__name__
+        raise MissionError(f"{title} is {result!r:.100}, not a {expected}")
+    return result
 
 
 def settings_of(mission: Mission) -> tuple[Setting, ...]:
     """Return all settings of a mission: those of the run, then those of its world."""
-    its = f"settings() of {type(mission.world).__name__}"
-    with blamed(lambda: f"{its} failed"):
-        own = tuple(mission.world.settings())
-    for one in own:
-        if not isinstance(one, Setting):
-            raise MissionError(
-                f"{its} gives {one!r:.100}; expected is a tuple of missions.engine.settings.Setting"
-            )
-    return (*declared(RunSettings), *own)
+    title = f"settings() of {type(mission.world).__name__}"
+    with blamed(lambda: f"{title} failed"):
+        settings = tuple(mission.world.settings())
+    for value in settings:
+        if not isinstance(value, Setting):
+            expected = "a tuple of missions.engine.settings.Setting"
+            raise MissionError(f"{title} gives {value!r}; expected is {expected}")
+    return (*declared(RunSettings), *settings)
 
 
 def split_settings(
     mission: Mission, values: Mapping[str, str], options: Sequence[Setting] = ()
 ) -> tuple[RunSettings, dict[str, str], dict[str, Any]]:
-    """Split settings into those of the run, of the world (which checks them), and options of a manager.
+    """Split settings into those of the run, of the world (which checks them), and of a manager.
 
-    Settings are given by name; the unit at the end may be left out, as in start_y for start_y_m.
+    The unit at the end of a name may be left out, as in start_y for start_y_m.
 
     Raises:
         MissionError: an unknown name or a value that is not allowed.
     """
-    of_run, known = declared(RunSettings), (*options, *settings_of(mission))
-    chosen = full_names(known, mission.fixed, mission.name) | full_names(
-        known, values, mission.name
-    )
-    run, world, own = (
-        {one.name: chosen[one.name] for one in some if one.name in chosen}
-        for some in (of_run, known[len(options) + len(of_run) :], options)
-    )
-    return (
-        RunSettings.read(run),
-        world,
-        {one.name: one.default for one in options} | read_values(options, own),
-    )
+    settings = (*options, *settings_of(mission))
+    texts = full_names(settings, mission.fixed, mission.name)
+    texts |= full_names(settings, values, mission.name)
+    option_values = {option.name: option.default for option in options}
+    option_texts = {name: texts.pop(name) for name in option_values if name in texts}
+    option_values |= read_values(options, option_texts)
+    run_names = [setting.name for setting in declared(RunSettings)]
+    run_texts = {name: texts.pop(name) for name in run_names if name in texts}
+    return RunSettings.read(run_texts), texts, option_values
 
 
-# -------------------------------------------------------------------- by name, and imported when asked for
+# ---------------------------------------------------------------- by name, imported when asked for
 
 MISSIONS: Final = {name: f"missions.{name}:MISSION" for name in SUMMARIES}
-"""The registered missions, by name: where each is defined."""
+"""Where each registered mission is defined."""
+_OWN: Final = f"{', '.join(MISSIONS)}; one of your own is "
 
 
 def _advice(kind: str, name: str) -> str:
-    """Return what to write instead of a name that is no registered one; empty if nothing is like it."""
+    """Return what to write instead of an unknown name, if it looks like something else."""
     if name.endswith(".toml"):
         return f"a file of settings is given as --config {name}; "
-    is_module = name.isidentifier() and (
-        Path(name, "__init__.py").exists() or Path(f"{name}.py").exists()
-    )
-    return f"did you mean {name}:{kind.upper()}? " if is_module else ""
+    if name.isidentifier() and (Path(name, "__init__.py").exists() or Path(f"{name}.py").exists()):
+        return f"did you mean {name}:{kind.upper()}? "
+    return ""
 
 
-def load(kind: str, name: str, homes: Mapping[str, str], known: str) -> Any:  # noqa: ANN401  # whoever asks checks it
+def load(kind: str, name: str, homes: Mapping[str, str], existing: str) -> Any:  # noqa: ANN401  # the caller checks it
     """Import a thing of some kind, such as "mission", by a registered name or as "module:NAME".
 
-    `homes` has the "module:NAME" of each registered name; `known` lists what exists, for the error message.
+    `homes` has the "module:NAME" of each registered name; `existing` lists what there is, for the
+    error message.
 
     Raises:
         MissionError: the name is unknown, or the import fails.
     """
     if name not in homes and ":" not in name[1:]:
-        raise MissionError(f"unknown {kind} {name!r}; {_advice(kind, name)}there are {known}")
-    module, _, attribute = homes.get(name, name).partition(":")
+        raise MissionError(f"unknown {kind} {name!r}; {_advice(kind, name)}there are {existing}")
+    home, _, attribute = homes.get(name, name).partition(":")
+    title = f"cannot import {kind} {name!r}"
     try:
-        found = import_module(module)
-        if not hasattr(found, attribute):
-            close = near(attribute, vars(found)) or [one for one in vars(found) if one.isupper()]
-            did = (
-                f"; did you mean {' or '.join(f'{module}:{one}' for one in close)}?"
-                if close
-                else ""
-            )
-            raise MissionError(f"{module} has no {attribute!r}{did}")
-        return getattr(found, attribute)
+        module = import_module(home)
     except Exception as error:  # an author's module may raise anything
-        said = str(error) if isinstance(error, MissionError) else f"{type(error).__name__}: {error}"
-        if isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]:
-            said = f"there is no module {module} here in {Path.cwd()}, nor among what is installed"
-        files = tuple(f"/{module.replace('.', '/')}{end}" for end in (".py", "/__init__.py"))
-        places = [one for one in extract_tb(error.__traceback__) if one.filename.endswith(files)]
-        where = "".join(f" ({Path(one.filename).name}, line {one.lineno})" for one in places[-1:])
-        raise MissionError(f"cannot import {kind} {name!r}: {said}{where}") from error
+        problem = f"{type(error).__name__}: {error}{line_in_words(error)}"
+        if isinstance(error, ModuleNotFoundError) and error.name == home.partition(".")[0]:
+            problem = f"there is no module {home} here in {Path.cwd()}, nor among what is installed"
+        raise MissionError(f"{title}: {problem}") from error
+    if not hasattr(module, attribute):
+        close = near(attribute, vars(module)) or [name for name in vars(module) if name.isupper()]
+        names = " or ".join(f"{home}:{name}" for name in close)
+        hint = f"; did you mean {names}?" if close else ""
+        raise MissionError(f"{title}: {home} has no {attribute!r}{hint}")
+    return getattr(module, attribute)
 
 
 def find_mission(name: str) -> Mission:
-    """Return a mission by its registered name, or as "module:NAME" of any module that can be imported.
+    """Return a mission by its registered name, or as "module:NAME" of any importable module.
 
     Raises:
         MissionError: no such mission; the message lists those there are.
     """
-    found = load(
-        "mission", name, MISSIONS, f"{', '.join(MISSIONS)}; one of your own is given as module:NAME"
-    )
-    if not isinstance(found, Mission):
-        raise MissionError(
-            f"{name!r} is a {type(found).__name__}, not a missions.engine.mission.Mission"
-        )
-    return found
+    mission = load("mission", name, MISSIONS, _OWN + "given as module:NAME")
+    if not isinstance(mission, Mission):
+        kind = type(mission).__name__
+        raise MissionError(f"{name!r} is a {kind}, not a missions.engine.mission.Mission")
+    return mission
 
 
 def find_robot(name: str) -> tuple[Model, Mission | None]:
-    """Return the model of a robot, and its mission if it has one, by a mission's name, a model file or module:NAME.
+    """Return a robot's model, and its mission if it has one.
+
+    The name is that of a mission or a model file, or module:NAME.
 
     Raises:
-        MissionError, KnowledgeBaseError: there is no such thing, or it cannot be read or made.
+        MissionError, KnowledgeBaseError: there is no such thing, or it cannot be read or built.
     """
     if Path(name).suffix in (".tql", ".owl"):
         return Model.load(name), None
-    own = "one of your own is a file (.tql, .owl) or module:NAME"
-    found = load("mission", name, MISSIONS, f"{', '.join(MISSIONS)}; {own}")
-    if isinstance(found, Mission):
-        return found.model(), found
-    if not (isinstance(found, Model) or callable(found)):
+    robot = load("mission", name, MISSIONS, _OWN + "a file (.tql, .owl) or module:NAME")
+    if isinstance(robot, Mission):
+        return robot.model(), robot
+    if isinstance(robot, Model):
+        return robot, None
+    if not callable(robot):
         raise MissionError(
-            f"{name!r} is no mission, no model and no function that makes one, but {found!r:.80}"
+            f"{name!r} is no mission, no model and no function that makes one, but {robot!r:.80}"
         )
-    return found if isinstance(found, Model) else built(name, Model, found), None
+    return built(name, Model, robot), None
 
 
 @contextmanager

@@ -1,20 +1,20 @@
-"""Diagnostics as a file, one message per line as JSON with its time: written during a run, read for a replay.
-
-A short stream for a test is written by hand, in Python:
-
-    [measured(0.5, water_visibility=3.75), failed(35.5, "c_thruster_1"), sensed(100.0, pipeline_found=True)]
-"""
+"""Diagnostics as a file, one message per line as JSON: written during a run, read for a replay."""
 
 import json
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict
+from math import inf
 from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from missions.engine.mission import Message, MissionError, check_message
+from missions.engine.percepts import Message, check_message
+from missions.engine.percepts import failed as failed
+from missions.engine.percepts import measured as measured
+from missions.engine.percepts import recovered as recovered
+from missions.engine.percepts import sensed as sensed
 from missions.engine.runner import Listener, MissionRun
+from missions.engine.settings import MissionError
 
 
 def line_of(message: Message) -> str:
@@ -22,18 +22,14 @@ def line_of(message: Message) -> str:
 
 
 def _plain(value: object) -> float | str | dict[Any, Any]:
-    """Return what JSON writes for a value of no type of its own: a number of numpy, another mapping, else its text."""
-    return (
-        float(value)
-        if isinstance(value, Real)
-        else dict(value)
-        if isinstance(value, Mapping)
-        else str(value)
-    )
+    """Return what JSON writes for a number of numpy, another mapping, or else its text."""
+    if isinstance(value, Real):
+        return float(value)
+    return dict(value) if isinstance(value, Mapping) else str(value)
 
 
 def header(run: MissionRun, seed: int) -> Message:
-    """Return the first message of a recording: it has no status, but says how the mission was run, for the replay."""
+    """Return the first message of a recording, which says how the mission was run."""
     about = {
         "mission": run.mission.name,
         "task": run.task,
@@ -41,7 +37,7 @@ def header(run: MissionRun, seed: int) -> Message:
         "settings": asdict(run.settings),
         "switching_s": dict(getattr(run.world.managed, "takes", {})),
     }
-    if run.faults is not None:
+    if run.faults.planned:
         about["faults"] = [str(fault) for fault in run.faults.planned]
     return {"time": 0.0, "status": [], "run": about}
 
@@ -58,28 +54,6 @@ class LineRecorder(Listener):
         self._write(line_of(message))
 
 
-def measured(time: float, **values: float) -> Message:
-    """Return a message that attributes were measured at this time [s]; values by name, in the attributes' units."""
-    return _said(
-        time, "attribute measurement", {name: repr(value) for name, value in values.items()}
-    )
-
-
-def failed(time: float, *components: str) -> Message:
-    """Return a message that components have failed at this time [s]."""
-    return _said(time, "component status", dict.fromkeys(components, "failure"))
-
-
-def recovered(time: float, *components: str) -> Message:
-    """Return a message that components have recovered at this time [s]."""
-    return _said(time, "component status", dict.fromkeys(components, "recovered"))
-
-
-def sensed(time: float, **news: object) -> Message:
-    """Return a message for the percepts only, at this time [s], e.g. pipeline_found=True."""
-    return _said(time, "mission status", {name: str(value).lower() for name, value in news.items()})
-
-
 def read_recording(source: str | Path | Iterable[Message]) -> Iterator[Message]:
     """Yield the messages of a recording in order of time.
 
@@ -87,48 +61,39 @@ def read_recording(source: str | Path | Iterable[Message]) -> Iterator[Message]:
         source: a file, or the messages themselves.
 
     Raises:
-        MissionError: the file cannot be read, or a line is no message; names the line and what was expected.
+        MissionError: the file cannot be read, or a line is no message; names the line and what was
+            expected.
     """
-    last = -math.inf
-    if isinstance(source, str | Path):
-        found = _lines_of(source)
-    else:
-        found = ((f"message {number}", message) for number, message in enumerate(source, start=1))
-    for where, message in found:
+    last = -inf
+    for where, message in _numbered(source):
         check_message(message, where)
         run = message.get("run", {})
-        parts = (
-            [run.get(one, {}) for one in ("settings", "switching_s")]
-            if isinstance(run, dict)
-            else [None]
-        )
-        if not all(isinstance(one, dict) for one in parts):
-            wanted = 'an object with objects "settings" and "switching_s"'
-            raise MissionError(f'{where}: "run" says how it was run: {wanted}')
+        for part in ("settings", "switching_s"):
+            if not isinstance(run, dict) or not isinstance(run.get(part, {}), dict):
+                expected = 'an object with objects "settings" and "switching_s"'
+                raise MissionError(f'{where}: "run" says how it was run: {expected}')
         if message["time"] < last:
-            raise MissionError(
-                f"{where}: time {message['time']} comes after {last}; order them by time"
-            )
+            order = f"time {message['time']} comes after {last}; order them by time"
+            raise MissionError(f"{where}: {order}")
         last = message["time"]
         yield message
 
 
-def _said(time: float, what: str, values: dict[str, str]) -> Message:
-    return {"time": float(time), "status": [{"name": "by hand", "message": what, "values": values}]}
-
-
-def _lines_of(path: str | Path) -> Iterator[tuple[str, Any]]:
+def _numbered(source: str | Path | Iterable[Message]) -> Iterator[tuple[str, Any]]:
+    """Yield each message with its place in the source."""
+    if not isinstance(source, str | Path):
+        for number, message in enumerate(source, start=1):
+            yield f"message {number}", message
+        return
     try:
-        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
+        lines = Path(source).read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise MissionError(
-            f"cannot read the recording {path}: {getattr(error, 'strerror', None) or error}"
-        ) from None
+        reason = getattr(error, "strerror", None) or error
+        raise MissionError(f"cannot read the recording {source}: {reason}") from None
     for number, line in enumerate(lines, start=1):
-        where = f"{path}:{number}"
         try:
             if line.strip():
-                yield where, json.loads(line)
+                yield f"{source}:{number}", json.loads(line)
         except json.JSONDecodeError as error:
-            said = f"not JSON ({error.msg}); one message per line is expected"
-            raise MissionError(f"{where}:{error.colno}: {said}") from None
+            problem = f"not JSON ({error.msg}); one message per line is expected"
+            raise MissionError(f"{source}:{number}:{error.colno}: {problem}") from None

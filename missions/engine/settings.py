@@ -1,17 +1,23 @@
-"""Settings: declared once, as fields of a frozen dataclass, from which they are listed, read and checked."""
+"""Settings: declared once, as fields of a frozen dataclass, then listed, read and checked."""
 
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from math import inf, isfinite
-from typing import Any, Self
+from typing import Any, Final, Self
 
 Value = bool | int | float | str
 
+_KINDS: Final[Mapping[type, str]] = {
+    bool: "true or false",
+    str: "a text",
+    int: "a whole number",
+    float: "a number",
+}
+
 
 class MissionError(Exception):
-    """Something cannot be done as asked; the message says what was given, what exists and what to do."""
+    """Something cannot be done as asked; the message says what was given, and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,8 +30,9 @@ class Setting:
         unit: its unit, "-" for none.
         meaning: what it is, in a line.
         source: where the default comes from.
-        is_published: whether the value is taken from the published results that a run is compared with. Such a run
-            reproduces instead of predicting; the setting is then shown among its figures.
+        is_published: whether the value is taken from the published results that a run is compared
+            with. Such a run reproduces instead of predicting; the setting is shown among its
+            figures.
         low, high: the bounds of a number, both allowed.
     """
 
@@ -41,48 +48,44 @@ class Setting:
     @property
     def allowed(self) -> str:
         """Its range, such as "from 0 to 1" or "from 0"; empty if it has none."""
-        bounds = (
-            () if isinstance(self.default, bool | str) else (("from", self.low), ("to", self.high))
-        )
+        if isinstance(self.default, bool | str):
+            return ""
+        bounds = (("from", self.low), ("to", self.high))
         return " ".join(f"{word} {bound:g}" for word, bound in bounds if isfinite(bound))
 
     @property
     def short_name(self) -> str:
         return self.name.removesuffix("_" + self.unit.replace("/", "_").replace(" ", "_"))
 
-    def read(self, given: object) -> Value:
-        """Return a value, or the value that a text means; a whole number is written without a point.
+    def read(self, source: object) -> Value:
+        """Return a value, or the value that a text means.
 
         Raises:
             MissionError: the value is not allowed; the message says what is.
         """
         kind = type(self.default)
-        value: Any = _meant(given, kind) if isinstance(given, str) else given
-        if kind in (bool, str):
-            is_allowed = isinstance(value, kind)
-        else:
+        value: Any = _parse(source, kind) if isinstance(source, str) else source
+        is_allowed = isinstance(value, kind)
+        if kind in (int, float):
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            is_fit = is_number and (kind is float or value % 1 == 0)
-            is_allowed = is_fit and self.low <= value <= self.high
+            is_allowed = is_number and (kind is float or value % 1 == 0)
+            is_allowed = is_allowed and self.low <= value <= self.high
         if is_allowed:
             return value  # type: ignore[no-any-return]  # it was checked
-        what = {bool: "true or false", str: "a text", int: "a whole number", float: "a number"}[
-            kind
-        ]
-        what += " of seconds" if kind is float and self.unit == "s" else ""
-        raise MissionError(
-            f"setting {self.name} is {given!r}; allowed is {what} {self.allowed}".rstrip()
-        )
+        unit = " of seconds" if kind is float and self.unit == "s" else ""
+        text = f"{_KINDS[kind]}{unit} {self.allowed}".rstrip()
+        raise MissionError(f"setting {self.name} is {source!r}; allowed is {text}")
 
 
-def _meant(text: str, kind: type[Value]) -> Value:
-    """Convert a text to a value of some type; return the text itself if that fails, or the number is infinite."""
+def _parse(text: str, kind: type[Value]) -> Value:
+    """Return the value that a text means; the text itself if it is none, or infinite."""
     if kind is bool:
         return {"true": True, "false": False}.get(text.strip().lower(), text)
-    with suppress(ValueError):
+    try:
         value = kind(text)
-        return text if value in (inf, -inf) else value
-    return text
+    except ValueError:
+        return text
+    return text if value in (inf, -inf) else value
 
 
 def setting(
@@ -95,20 +98,24 @@ def setting(
 
 def declared(kind: Any) -> tuple[Setting, ...]:  # noqa: ANN401  # any dataclass with such fields
     """Return the settings that a dataclass declares, in order."""
-    return tuple(Setting(one.name, one.default, **one.metadata) for one in fields(kind))  # type: ignore[arg-type]  # each has a default
+    return tuple(Setting(part.name, part.default, **part.metadata) for part in fields(kind))  # type: ignore[arg-type]  # each has a default
 
 
 @dataclass(frozen=True, slots=True)
 class Constants:
-    """Base of settings: a subclass is a frozen dataclass whose fields are `setting(...)`; it refuses wrong values."""
+    """Base of settings: a subclass is a frozen dataclass whose fields are `setting(...)`.
+
+    Raises:
+        MissionError: a value is not allowed.
+    """
 
     def __post_init__(self) -> None:
-        for one in declared(type(self)):
-            one.read(getattr(self, one.name))
+        for part in declared(type(self)):
+            part.read(getattr(self, part.name))
 
     @classmethod
     def read(cls, values: Mapping[str, object]) -> Self:
-        """Return the settings given as texts by name, as on a command line; the others have their defaults.
+        """Return the settings with texts by name, as on a command line; others have defaults.
 
         Raises:
             MissionError: an unknown name, or a value that is not allowed.
@@ -134,40 +141,41 @@ class RunSettings(Constants):
 def full_names(
     settings: Iterable[Setting], values: Mapping[str, Any], mission: str = ""
 ) -> dict[str, Any]:
-    """Return values by full names of settings; in the given names the unit at the end may be left out.
+    """Return values by full names of settings, in the settings' order; units may be missing.
 
     Raises:
         MissionError: an unknown name, or a setting that is given twice, with and without its unit.
     """
+    names = [part.name for part in settings]
+    full = {part.short_name: part.name for part in settings} | {name: name for name in names}
     named: dict[str, Any] = {}
-    rest = dict(values)
-    for one in settings:
-        given = [name for name in dict.fromkeys((one.short_name, one.name)) if name in rest]
-        if len(given) > 1:
-            raise MissionError(f"{' and '.join(given)} are the same setting; give it once")
-        if given:
-            named[one.name] = rest.pop(given[0])
-    for name in rest:
-        known = [one.name for one in settings]
-        close = near(name, known)
-        is_long = mission and len(known) >= 20
-        some = (
-            f"`rosa settings {mission}` lists them" if is_long else f"there are {', '.join(known)}"
-        )
-        hint = f"did you mean {' or '.join(close)}?" if close else some
-        raise MissionError(
-            f"unknown setting {name!r}{f' of mission {mission}' if mission else ''}; {hint}"
-        )
+    for name, value in values.items():
+        if name not in full:
+            close = near(name, names)
+            existing = f"there are {', '.join(names)}"
+            if mission and len(names) >= 20:
+                existing = f"`rosa settings {mission}` lists them"
+            hint = f"did you mean {' or '.join(close)}?" if close else existing
+            owner = f" of mission {mission}" if mission else ""
+            raise MissionError(f"unknown setting {name!r}{owner}; {hint}")
+        if full[name] in named:
+            twice = " and ".join(text for text in full if full[text] == full[name])
+            raise MissionError(f"{twice} are the same setting; give it once")
+        named[full[name]] = value
     return named
 
 
 def read_values(settings: Iterable[Setting], values: Mapping[str, object]) -> dict[str, Any]:
-    """Return the values that texts mean, by full names; raises MissionError as `full_names` and `Setting.read` do."""
-    known = {one.name: one for one in settings}
-    return {
-        name: known[name].read(text) for name, text in full_names(known.values(), values).items()
-    }
+    """Return the values that texts mean, by full names.
+
+    Raises:
+        MissionError: as `full_names` and `Setting.read` do.
+    """
+    by_name = {part.name: part for part in settings}
+    named = full_names(by_name.values(), values)
+    return {name: by_name[name].read(text) for name, text in named.items()}
 
 
-def near(name: str, known: Iterable[str]) -> list[str]:
-    return get_close_matches(name, sorted(known), n=3)
+def near(name: str, names: Iterable[str]) -> list[str]:
+    """Return the nearest of these names."""
+    return get_close_matches(name, sorted(names), n=3)

@@ -5,37 +5,28 @@ Intervals are Student's, of the means of whole runs, because the measurements wi
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from statistics import fmean, median, stdev
+from statistics import fmean, median
 from typing import Final, NamedTuple, Self
 
 from kb import Event, Model
 from kb.elements import Attribute, AttributeKind
 from kb.forecast import Series, slope_of
 from missions.engine.mission import MissionError, needs
-from missions.engine.runner import MissionRun, RosaRun
-from missions.experiments.campaign import FILE, read_store
+from missions.engine.runner import RosaRun
+from missions.experiments.comparison import mean_of
+from missions.experiments.results import FILE, Results
 from missions.wires.mcap import read_bag
 
-LEVEL: Final = 0.95  # how often an interval holds the true value
 _ROUNDING: Final = 1e-6  # least relative half width of an interval, as times and values are rounded
 _SURE: Final = 0.5  # largest relative half width of an interval, if the model states nothing
 _BENT: Final = 0.05  # largest median distance of a series from a line, relative to its change
 
 
-class Experience(NamedTuple):
-    """What can be learned from of a run: its name and its events."""
-
-    name: str
-    events: Sequence[Event]
-
-    @classmethod
-    def of(cls, name: str, run: MissionRun) -> Self:
-        """Do an open run, and return it as an experience."""
-        run.run()
-        return cls(name, list(run.kb.log))
+Runs = Mapping[str, Sequence[Event]]
+"""The events of runs, by their names."""
 
 
 class Spread(NamedTuple):
@@ -49,23 +40,16 @@ class Spread(NamedTuple):
     @classmethod
     def of(cls, values: Sequence[float]) -> Self:
         """Return the mean of values, with its interval."""
-        with needs("plot", "the intervals of what is learned"):
-            from scipy.stats import t
         mean = fmean(values)
-        count = len(values)
         half = math.inf
-        if count > 1:
-            quantile = float(t.ppf((1 + LEVEL) / 2, count - 1))
-            half = max(quantile * stdev(values) / math.sqrt(count), _ROUNDING * abs(mean))
-        return cls(mean, mean - half, mean + half, count)
+        if len(values) > 1:
+            with needs("plot", "the intervals of what is learned"):
+                half = max(mean_of(values).high - mean, _ROUNDING * abs(mean))
+        return cls(mean, mean - half, mean + half, len(values))
 
     def holds(self, value: float) -> bool:
+        """Tell whether the value is in the interval."""
         return self.low <= value <= self.high
-
-    @property
-    def is_sure(self) -> bool:
-        """Whether the sign is certain, and the size roughly."""
-        return 0.0 < self.high - self.low <= 2 * _SURE * abs(self.value)
 
     def __str__(self) -> str:
         if self.observations == 1:
@@ -96,32 +80,29 @@ class Learned(NamedTuple):
         return f"{text}; {verdict} {self.stated:.4g}"
 
 
-def learn(runs: Iterable[Experience], model: Model) -> list[Learned]:
+def learn(runs: Runs, model: Model) -> list[Learned]:
     """Return the rates and durations that runs show.
 
     Raises:
         MissionError: an action of a run is not in the model, so the run is of another robot.
     """
-    runs = list(runs)
-    for run in runs:
-        for event in run.events:
+    for name, events in runs.items():
+        for event in events:
             if event.verb == "request_action" and event.subject not in model.actions:
                 known = ", ".join(model.actions)
-                what = f"in {run.name} {event.subject} is done, which is no action of {model.name}"
+                what = f"in {name} {event.subject} is done, which is no action of {model.name}"
                 raise MissionError(f"{what}: {known}")
-    rates = [
-        learned
-        for attribute in model.attributes.values()
-        for learned in _rates(attribute, [_slopes(run, attribute) for run in runs])
-    ]
-    return [*rates, *_durations(runs)]
+    learned: list[Learned] = []
+    for attribute in model.attributes.values():
+        learned += _rates(attribute, [_slopes(events, attribute) for events in runs.values()])
+    return [*learned, *_durations(runs)]
 
 
-def _slopes(run: Experience, attribute: Attribute) -> dict[str, float]:
+def _slopes(events: Sequence[Event], attribute: Attribute) -> dict[str, float]:
     """Return the mean rate of change of an attribute in a run, by the action that was done alone."""
     doing: dict[str, None] = {}
     points: list[tuple[frozenset[str], float, float]] = []
-    for event in run.events:
+    for event in events:
         if event.verb == "request_action":
             doing[event.subject] = None
         elif event.verb == "cancel_action":
@@ -172,18 +153,19 @@ def _rates(attribute: Attribute, slopes: Sequence[dict[str, float]]) -> Iterator
             spreads = {"": always}
     stated = {rate.while_: rate.per_s for rate in attribute.rates}
     for action, spread in spreads.items():
-        if action in stated or spread.is_sure:
+        is_sure = 0.0 < spread.high - spread.low <= 2 * _SURE * abs(spread.value)
+        if action in stated or is_sure:
             when = f" while {action}" if action else ", always"
             about = f"{attribute.name}{when} [{attribute.unit or '1'}/s]"
             yield Learned("rate", about, spread, stated.get(action))
 
 
-def _durations(runs: Sequence[Experience]) -> Iterator[Learned]:
+def _durations(runs: Runs) -> Iterator[Learned]:
     """Yield how long the completed actions took."""
     took: defaultdict[str, list[float]] = defaultdict(list)
-    for run in runs:
+    for events in runs.values():
         begun: dict[str, float] = {}
-        for event in run.events:
+        for event in events:
             if event.verb == "request_action":
                 begun.setdefault(event.subject, event.time)
             elif event.verb == "cancel_action" and event.subject in begun:
@@ -194,27 +176,29 @@ def _durations(runs: Sequence[Experience]) -> Iterator[Learned]:
         yield Learned("duration", f"{action} [s]", Spread.of(seconds))
 
 
-def read_runs(paths: Iterable[Path]) -> Iterator[Experience]:
+def read_runs(paths: Iterable[Path]) -> Runs:
     """Read recordings, and repeat the runs of campaigns, which depend only on their names and the code.
 
     Raises:
         MissionError: nothing can be learned from one of them; the message says why.
     """
+    runs: dict[str, Sequence[Event]] = {}
     for path in paths:
-        if (path / FILE).exists():
-            found = list(_campaign(path))
-        else:
-            bag = read_bag(path)
-            found = [Experience(path.name, bag.events)] if bag.events else []
-        if not found:
+        is_campaign = (path / FILE).exists()
+        read = _campaign(path) if is_campaign else {path.name: read_bag(path).events}
+        if not any(read.values()):
             raise MissionError(f"{path} holds no run in which a knowledge base knew what was done")
-        yield from found
+        runs |= read
+    return runs
 
 
-def _campaign(path: Path) -> Iterator[Experience]:
-    kept = read_store(path)
-    done = kept.done(retry=True)
-    for run in (one for one in kept.campaign.planned() if one.place in done):
-        opened = run.open()
+def _campaign(path: Path) -> dict[str, Sequence[Event]]:
+    results = Results(path)
+    left = results.left(retry=True)
+    runs: dict[str, Sequence[Event]] = {}
+    for run in results.campaign.planned():
+        opened = run.open() if run not in left else None
         if isinstance(opened, RosaRun):
-            yield Experience.of(run.name, opened)
+            opened.run()
+            runs[run.name] = list(opened.kb.log)
+    return runs

@@ -1,7 +1,7 @@
 """Explore what a tree, the knowledge base and the manager do in all that can happen, and check what must hold."""
 
 from missions.proof.properties import always, eventually, leads_to, never
-from missions.proof.rig import Leaf
+from missions.proof.setup import Leaf
 from missions.proof.verification import Proof, verify
 
 __all__ = ["Leaf", "Proof", "always", "eventually", "leads_to", "never", "verify"]

@@ -5,7 +5,7 @@ elements, and of components that the model does not tell apart, only the first c
 """
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from itertools import combinations, pairwise
 from math import inf
 from typing import Final, NamedTuple
@@ -15,6 +15,7 @@ from py_trees.behaviour import Behaviour
 from kb import Event, KnowledgeBase, Model
 from kb.elements import Attribute, Constraint
 from kb.status import OPERATORS
+from missions.proof.setup import Setup
 from rosa_bt.behaviours import HasStatus, Measurement
 
 STALE: Final = "stale"
@@ -43,36 +44,35 @@ class Change(NamedTuple):
     def __str__(self) -> str:
         if isinstance(self.to, bool):
             return f"{self.name} {'fails' if self.to else 'recovers'}"
-        if self.to == STALE:
-            return f"{self.name} is stale"
-        return f"{self.name} is measured {self.to:g}"
+        return (
+            f"{self.name} is stale" if self.to == STALE else f"{self.name} is measured {self.to:g}"
+        )
 
     def apply(self, kb: KnowledgeBase) -> None:
         """Let it happen."""
-        if isinstance(self.to, bool):
-            (kb.component_failed if self.to else kb.component_recovered)(self.name)
-        elif isinstance(self.to, str):
-            make_stale(kb, self.name)
+        if self.to is True:
+            kb.component_failed(self.name)
+        elif self.to is False:
+            kb.component_recovered(self.name)
         else:
-            kb.measure(self.name, self.to)
+            measure(kb, self.name, self.to)
 
 
-def make_stale(kb: KnowledgeBase, attribute: str) -> None:
-    kb.replay(Event(kb.log.last + 1, kb.now, STALE, (attribute,)))
-
-
-def is_debounced(model: Model) -> bool:
-    """Tell whether some measurement has to be confirmed by others or by time before it counts."""
-    confirmed = any(each.agreement != (1, 1) for each in model.attributes.values())
-    return confirmed or any(each.hysteresis or each.dwell for each in model.constraints)
+def measure(kb: KnowledgeBase, attribute: str, value: Value) -> None:
+    """Measure an attribute, or let it be unknown."""
+    if isinstance(value, float):
+        kb.measure(attribute, value)
+    else:
+        kb.replay(Event(kb.log.last + 1, kb.now, STALE, (attribute,)))
 
 
 def without_debouncing(model: Model) -> Model:
     """Let each measurement count at once: hysteresis, dwell and agreement only delay what is explored anyway."""
-    if is_debounced(model):
-        for constraint in model.constraints:
+    for constraint in model.constraints:
+        if constraint.hysteresis or constraint.dwell:
             model.change(constraint, hysteresis=0.0, dwell=0.0)
-        for attribute in model.attributes.values():
+    for attribute in model.attributes.values():
+        if attribute.agreement != (1, 1):
             model.change(attribute, agreement=(1, 1))
     return model
 
@@ -83,11 +83,7 @@ class Environment:
     Args:
         kb: of the robot.
         leaves: of the tree, whose own conditions on measurements count too.
-        failures: how many components are failed at once at most.
-        at_once: how many facts change between two ticks at most.
-        values: by attribute, further thresholds that the tree or a property compares with.
-        failing: the components that can fail; None for all.
-        symmetric: let only the first of several facts that make no difference apart change.
+        setup: how they change.
 
     Attributes:
         values: by attribute that changes, one value for each difference.
@@ -95,97 +91,88 @@ class Environment:
         worst: by attribute, the value that violates most.
     """
 
-    def __init__(
-        self,
-        kb: KnowledgeBase,
-        leaves: Iterable[Behaviour],
-        *,
-        failures: int = 1,
-        at_once: int = 1,
-        values: Mapping[str, Iterable[float]] | None = None,
-        failing: Iterable[str] | None = None,
-        symmetric: bool = True,
-    ) -> None:
-        self.kb = kb
-        self.failures = failures
-        self.at_once = at_once
+    def __init__(self, kb: KnowledgeBase, leaves: Iterable[Behaviour], setup: Setup) -> None:
+        self._setup = setup
         self._compared = _comparisons(kb)
-        read: set[str] = set()
-        thresholds = {kb.attributes[name].name: limits for name, limits in (values or {}).items()}
+        self._read: set[str] = set()
         for leaf in leaves:
             if isinstance(leaf, Measurement):
-                name = leaf.attribute.name
-                self._compared[name].append((leaf, leaf.operator, leaf.value))
-                read.add(name)
-        for name, limits in thresholds.items():
-            self._compared[name] += [(limit, ">=", float(limit)) for limit in limits]
-            read.add(name)
+                self._compared[leaf.attribute.name].append((leaf, leaf.operator, leaf.value))
+                self._read.add(leaf.attribute.name)
         attributes = kb.model.attributes
-        every = {
-            name: self._distinct(attributes[name]) for name in kb.attributes if self._compared[name]
-        }
-        self._read = read
-        self.values = dict(_apart(self, every) if symmetric else every)
-        self.worst = {
-            name: max(options, key=lambda value, name=name: len(self.signature(name, value)))  # type: ignore[misc]  # bound in the loop
-            for name, options in self.values.items()
-        }
+        ageing = {name for name in kb.attributes if attributes[name].max_age != inf}
+        self.values: dict[str, tuple[float, ...]] = {}
+        seen = set[frozenset[Signature]]()
+        for name in kb.attributes:
+            if self._compared[name]:
+                values = self._distinct(attributes[name])
+                signatures = frozenset(self.signature(name, value) for value in values)
+                is_one_bit = len(signatures) == 2 and frozenset() in signatures
+                if not setup.symmetric or not is_one_bit or name in self._read | ageing:
+                    self.values[name] = values
+                elif signatures not in seen:
+                    seen.add(signatures)
+                    self.values[name] = values
+        self.ageing = ageing & self.values.keys()
+        self.worst = {name: max(self.values[name], key=self.violated(name)) for name in self.values}
+        components = [kb.components[name].name for name in setup.failing or kb.components]
         named = {leaf.element.name for leaf in leaves if isinstance(leaf, HasStatus)}
-        names = (
-            [*kb.components] if failing is None else [kb.components[one].name for one in failing]
-        )
-        self.alike = _alike(kb, names, named) if symmetric else [(name,) for name in names]
-        self.ageing = {name for name in self.values if attributes[name].max_age != inf}
-
-    def is_read(self, name: str) -> bool:
-        """Return whether somebody reads the value of an attribute itself."""
-        return name in self._read
+        self.alike: list[tuple[str, ...]] = [(name,) for name in components]
+        if setup.symmetric:
+            self.alike = _alike(kb, components, named)
 
     def signature(self, name: str, value: Value) -> Signature:
         """Return what a value of an attribute violates; what is not measured violates nothing."""
         if not isinstance(value, float):
             return frozenset({value} if value == STALE or name in self._read else ())
-        return frozenset(
-            asker
-            for asker, operator, limit in self._compared[name]
-            if not OPERATORS[operator](value, limit)
-        )
+        compared = self._compared[name]
+        return frozenset(who for who, how, limit in compared if not OPERATORS[how](value, limit))
+
+    def violated(self, name: str) -> Callable[[float], int]:
+        """Return a function that counts what a value of an attribute violates."""
+        return lambda value: len(self.signature(name, value))
 
     def representative(self, name: str, value: Value) -> Value:
         """Return the value that stands for all with the same signature; for a new one, the value itself."""
         signature = self.signature(name, value)
-        options: tuple[Value, ...] = self.values[name]
-        return next((one for one in options if self.signature(name, one) == signature), value)
+        alike = (each for each in self.values[name] if self.signature(name, each) == signature)
+        return next(alike, value)
 
     def best(self, name: str) -> float | None:
         """Return a value that violates nothing, if nobody but the model looks at the attribute."""
-        fitting = (one for one in self.values[name] if not self.signature(name, one))
+        fitting = (value for value in self.values[name] if not self.signature(name, value))
         return None if name in self._read else next(fitting, None)
 
-    def changes(self, facts: Facts) -> Iterator[tuple[Change, ...]]:
-        """Yield the sets of changes that can happen next, beginning with the empty one."""
-        single = [Change(name, value) for name, value in self._measurable(facts)]
+    def changes(self, facts: Facts) -> Iterator[tuple[tuple[Change, ...], Facts]]:
+        """Yield the sets of changes that can happen next, beginning with none, and the facts after each."""
+        single = []
+        for name, present in zip(self.values, facts.values, strict=True):
+            single += [Change(name, value) for value in self.values[name] if value != present]
+            if name in self.ageing and present not in (None, STALE):
+                single.append(Change(name, STALE))
         for group in self.alike:
             down = [name for name in group if name in facts.failed]
             up = [name for name in group if name not in facts.failed]
             single += [Change(name, False) for name in down[-1:]]
             single += [Change(name, True) for name in up[:1]]
-        for count in range(self.at_once + 1):
+        for count in range(self._setup.at_once + 1):
             for chosen in combinations(single, count):
-                more = sum(
-                    1 if change.to else -1 for change in chosen if change.to in (True, False)
-                )
-                is_allowed = more <= 0 or len(facts.failed) + more <= self.failures
+                after = self._changed(facts, chosen)
+                is_allowed = len(after.failed) <= max(self._setup.failures, len(facts.failed))
                 if is_allowed and len({change.name for change in chosen}) == count:
-                    yield chosen
+                    yield chosen, after
 
-    def _measurable(self, facts: Facts) -> Iterator[tuple[str, float | str]]:
-        for name, present in zip(self.values, facts.values, strict=True):
-            for value in self.values[name]:
-                if value != present:
-                    yield name, value
-            if name in self.ageing and present not in (None, STALE):
-                yield name, STALE
+    def _changed(self, facts: Facts, changes: Iterable[Change]) -> Facts:
+        values: dict[str, Value] = dict(zip(self.values, facts.values, strict=True))
+        failed = set(facts.failed)
+        for change in changes:
+            if not isinstance(change.to, bool):
+                values[change.name] = change.to
+            elif change.to:
+                failed.add(change.name)
+            else:
+                failed.discard(change.name)
+        return facts._replace(values=tuple(values.values()), failed=frozenset(failed))
 
     def _distinct(self, attribute: Attribute) -> tuple[float, ...]:
         """Return values of an attribute, one for each possible signature."""
@@ -206,28 +193,12 @@ def _comparisons(kb: KnowledgeBase) -> defaultdict[str, list[tuple[object, str, 
     compared: defaultdict[str, list[tuple[object, str, float]]] = defaultdict(list)
     for table in (kb.actions, kb.designs, kb.components, kb.configurations):
         for element in table.values():
-            asker = (element.node.kind, element.name)
             for view in element.constraints:
-                assert isinstance(view.element, Constraint)
                 limit = view.element
+                assert isinstance(limit, Constraint)
+                asker = (element.node.kind, element.name)
                 compared[limit.attribute].append((asker, limit.operator, limit.value))
     return compared
-
-
-def _apart(
-    environment: Environment, every: Mapping[str, tuple[float, ...]]
-) -> Iterator[tuple[str, tuple[float, ...]]]:
-    """Yield the attributes that make a difference; of those that violate the same, only the first."""
-    seen = set[frozenset[Signature]]()
-    for name, options in every.items():
-        signatures = frozenset(environment.signature(name, value) for value in options)
-        is_one_bit = len(signatures) == 2 and frozenset() in signatures
-        is_alone = environment.is_read(name) or environment.kb.model.attributes[name].max_age != inf
-        if is_one_bit and not is_alone and signatures in seen:
-            continue
-        if is_one_bit and not is_alone:
-            seen.add(signatures)
-        yield name, options
 
 
 def _alike(kb: KnowledgeBase, names: Iterable[str], named: set[str]) -> list[tuple[str, ...]]:

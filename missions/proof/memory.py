@@ -5,12 +5,13 @@ Every object keeps its identity, so neither the tree nor what it holds needs to 
 
 import functools
 import logging
+import pickle
 import types
 import weakref
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Mapping
 from enum import Enum
+from io import BytesIO
 from typing import Any, Final
 
 from py_trees.behaviour import Behaviour
@@ -23,11 +24,10 @@ from missions.engine.mission import MissionError
 from rosa_bt import ForAction, UntilSuccess
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 
-_ATOMS: Final = (int, float, str, bytes, type(None), type, Enum)
+_ATOMS: Final = {int, float, bool, str, bytes, type(None)}
 _FIXED: Final = (
-    *(KnowledgeBase, Model, logging.Logger, types.ModuleType, types.FunctionType),
-    *(types.BuiltinFunctionType, types.MethodType),
-    *(functools.partial, weakref.ref),
+    *(KnowledgeBase, Model, logging.Logger, types.ModuleType, types.FunctionType, type, Enum),
+    *(types.BuiltinFunctionType, types.MethodType, functools.partial, weakref.ref),
 )
 """Not part of the state: what cannot change, and the knowledge base, whose facts are read apart."""
 _IGNORED: Final = {
@@ -39,163 +39,131 @@ _IGNORED: Final = {
 _FORGETFUL: Final = (Selector, Sequence, UntilSuccess, ForAction, DoUntilUnfeasible, SafeSwitch)
 """These treat a child that has ended as one that never ran; so do the decorators of py_trees."""
 _CONTAINERS: Final = (list, set, deque, dict)
-Content = Any
 
 
 class Memory:
-    """The state of all objects that can be reached from some roots.
-
-    Raises:
-        MissionError: an object cannot be restored, such as a running generator; the message names it.
-    """
+    """The state of all objects that can be reached from some roots."""
 
     def __init__(self, roots: Iterable[object]) -> None:
-        self._objects: list[Any] = []
-        self._numbers: dict[int, int] = {}
-        self._states: list[tuple[Content, ...]] = []
-        self._number_of: dict[tuple[Content, ...], int] = {}
-        self._pool: dict[Content, Content] = {}
+        self.objects: list[Any] = []
+        self.numbers: dict[int, int] = {}
+        self.fixed: dict[Any, int] = {}
         self._stateful: list[Any] = []
-        for root in roots:
-            self._find(root)
-        self._loaded: tuple[Content, ...] = ()
-        self._loaded = self._states[self.read()]
-
-    def read(self) -> int:
-        """Return the number of the present state; equal states have equal numbers."""
-        contents = []
-        for each in self._stateful:
-            content = self._content(each)
-            contents.append(self._pool.setdefault(content, content))
-        self._loaded = tuple(contents)
-        number = self._number_of.setdefault(self._loaded, len(self._states))
-        if number == len(self._states):
-            self._states.append(self._loaded)
-        return number
-
-    def write(self, number: int) -> None:
-        """Restore the state with this number."""
-        state = self._states[number]
-        for each, content, present in zip(self._stateful, state, self._loaded, strict=True):
-            if content is not present:
-                self._restore(each, content)
-        self._loaded = state
-
-    def _find(self, root: object) -> None:
-        pending = [root]
+        self._states: dict[bytes, bytes] = {}
+        pending = [*roots]
         while pending:
             each = pending.pop()
-            if isinstance(each, (*_ATOMS, *_FIXED)) or id(each) in self._numbers:
-                continue
-            if type(each).__module__.partition(".")[0] == "kb":
-                continue
-            if isinstance(each, Mapping):
-                pending += [*each.keys(), *each.values()]
-            elif isinstance(each, list | tuple | set | frozenset | deque):
-                pending += each
-            attributes = attributes_of(each)
-            pending += attributes.values()
-            self._numbers[id(each)] = len(self._objects)
-            self._objects.append(each)
-            if isinstance(each, _CONTAINERS) or (attributes and not isinstance(each, tuple)):
-                self._stateful.append(each)
+            if type(each) not in _ATOMS and not is_fixed(each) and id(each) not in self.numbers:
+                pending += self._add(each)
 
-    def _content(self, each: Any) -> Content:  # noqa: ANN401  # any object of a program
-        if isinstance(each, _CONTAINERS):
-            return self._items(each)
-        if isinstance(each, Behaviour):
-            vars(each).update({name: _RESET[name] for name in _unneeded(each)})
-        names = attributes_of(each).items()
-        return tuple([(name, self._encoded(value)) for name, value in names])
+    def _add(self, each: object) -> list[object]:
+        """Add an object and return those that it refers to."""
+        attributes = _attributes(each)
+        self.numbers[id(each)] = len(self.objects)
+        self.objects.append(each)
+        if isinstance(each, _CONTAINERS) or (attributes and not isinstance(each, tuple)):
+            self._stateful.append(each)
+        items: list[object] = list(attributes.values())
+        if isinstance(each, Mapping):
+            items += [*each.keys(), *each.values()]
+        elif isinstance(each, list | tuple | set | frozenset | deque):
+            items += each
+        return items
 
-    def _items(self, container: Any) -> Content:  # noqa: ANN401  # any container
-        if isinstance(container, Mapping):
-            pairs = [(self._encoded(k), self._encoded(v)) for k, v in container.items()]
-            return tuple(sorted(pairs, key=_first_as_text))
-        encoded = [self._encoded(item) for item in container]
-        return frozenset(encoded) if isinstance(container, set | frozenset) else tuple(encoded)
+    def read(self) -> bytes:
+        """Return the present state; equal states are the same object.
 
-    def _encoded(self, value: Any) -> Content:  # noqa: ANN401  # any value of a program
-        number = self._numbers.get(id(value))
-        if number is not None:
-            return ("known", number)
-        if isinstance(value, (*_ATOMS, *_FIXED)) or type(value).__module__.startswith("kb."):
-            return value
-        kind = dict if isinstance(value, Mapping) else type(value)
-        if isinstance(value, list | tuple | set | frozenset | deque | Mapping):
-            return ("items", kind, self._items(value))
-        attributes = attributes_of(value)
-        if not attributes or hasattr(value, "__next__"):
-            raise MissionError(f"{value!r:.120} came to be while the tree ran; no state holds it")
-        names = [(name, self._encoded(one)) for name, one in attributes.items()]
-        return ("object", kind, tuple(names))
+        Raises:
+            MissionError: something that came to be cannot be restored, such as a running generator.
+        """
+        text = BytesIO()
+        writer = _Writer(text, self)
+        try:
+            writer.dump([_content(each) for each in self._stateful])
+        except (TypeError, AttributeError, pickle.PicklingError) as error:
+            raise MissionError(
+                f"no state holds what came to be while the tree ran: {error}"
+            ) from error
+        state = text.getvalue()
+        return self._states.setdefault(state, state)
 
-    def _decoded(self, content: Content) -> Any:  # noqa: ANN401  # any value of a program
-        if type(content) is not tuple:
-            return content
-        if content[0] == "known":
-            return self._objects[content[1]]
-        _, kind, parts = content
-        if content[0] == "object":
-            made = object.__new__(kind)
-            for name, part in parts:
-                object.__setattr__(made, name, self._decoded(part))
-            return made
-        if issubclass(kind, dict):
-            return {self._decoded(key): self._decoded(part) for key, part in parts}
-        items = [self._decoded(part) for part in parts]
-        return tuple.__new__(kind, items) if issubclass(kind, tuple) else kind(items)
-
-    def _restore(self, each: Any, content: Content) -> None:  # noqa: ANN401  # any object
-        if isinstance(each, _CONTAINERS):
-            each.clear()
-            if isinstance(each, dict):
-                each.update({self._decoded(k): self._decoded(v) for k, v in content})
+    def write(self, state: bytes) -> None:
+        """Restore a state."""
+        contents = _Reader(BytesIO(state), self).load()
+        for each, content in zip(self._stateful, contents, strict=True):
+            if isinstance(each, dict | set):
+                each.clear()
+                each.update(content)
+            elif isinstance(each, list | deque):
+                each.clear()
+                each.extend(content)
             else:
-                add: Callable[[Any], object] = each.update if isinstance(each, set) else each.extend
-                add([self._decoded(part) for part in content])
-            return
-        names = dict(content)
-        for name in attributes_of(each):
-            if name not in names:
-                object.__delattr__(each, name)
-        for name, part in names.items():
-            object.__setattr__(each, name, self._decoded(part))
+                names = content[0].split()
+                for name in _attributes(each).keys() - names:
+                    object.__delattr__(each, name)
+                for name, value in zip(names, content[1:], strict=True):
+                    object.__setattr__(each, name, value)
 
 
-def _first_as_text(pair: tuple[Content, Content]) -> str:
-    return repr(pair[0])
+class _Writer(pickle.Pickler):
+    """Writes equal contents as equal bytes; objects that are known keep their identity."""
+
+    def __init__(self, file: BytesIO, memory: Memory) -> None:
+        super().__init__(file)
+        self.fast = True  # else the bytes would tell which of equal parts are the same
+        self._memory = memory
+
+    def persistent_id(self, value: Any) -> Any:  # noqa: ANN401  # any value of a program
+        if type(value) in _ATOMS:
+            return None
+        memory = self._memory
+        if (number := memory.numbers.get(id(value))) is not None:
+            return ("object", number)
+        if is_fixed(value):
+            return ("fixed", memory.fixed.setdefault(value, len(memory.fixed)))
+        if isinstance(value, Mapping):
+            return ("dict", sorted(value.items(), key=repr))
+        if isinstance(value, set | frozenset):
+            return (type(value).__name__, sorted(value, key=repr))
+        return None
 
 
-def attributes_of(each: Any) -> dict[str, Any]:  # noqa: ANN401  # any object
-    """Return the attributes of an object that may decide something, including those in slots."""
-    if isinstance(each, type):
-        return {}
+class _Reader(pickle.Unpickler):
+    def __init__(self, file: BytesIO, memory: Memory) -> None:
+        super().__init__(file)
+        self._objects = {"object": memory.objects, "fixed": [*memory.fixed]}
+        self._kinds = {"dict": dict, "set": set, "frozenset": frozenset}
+
+    def persistent_load(self, key: Any) -> Any:  # noqa: ANN401  # any value of a program
+        kind, content = key
+        return self._kinds[kind](content) if kind in self._kinds else self._objects[kind][content]
+
+
+def is_fixed(value: object) -> bool:
+    """Tell whether a value is no part of the state."""
+    return isinstance(value, _FIXED) or type(value).__module__.startswith("kb.")
+
+
+def _content(each: Any) -> Any:  # noqa: ANN401  # any object of a program
+    if isinstance(each, dict | set):
+        return each.copy()  # a copy is not known
+    if isinstance(each, list | deque):
+        return [*each]
+    if isinstance(each, Behaviour) and each.status is not Status.RUNNING:
+        if each.parent is not None and _is_forgetful(each.parent):
+            each.status = Status.INVALID  # nobody asks how it has ended
+        if isinstance(each, Composite) and _is_forgetful(each):
+            each.current_child = None
+    attributes = _attributes(each)
+    return [" ".join(attributes), *attributes.values()]
+
+
+def _attributes(each: Any) -> dict[str, Any]:  # noqa: ANN401  # any object
+    """Return the attributes of an object that may decide something."""
     if "__getstate__" in vars(type(each)) and each.__getstate__() is None:
         return {}  # it says itself that it has no state
-    found: dict[str, Any] = dict(getattr(each, "__dict__", {}))
-    slots = [vars(kind) for kind in type(each).__mro__ if "__slots__" in vars(kind)]
-    for name, member in [item for attributes in slots for item in attributes.items()]:
-        if isinstance(member, types.MemberDescriptorType):
-            with suppress(AttributeError):  # not set yet
-                found[name] = member.__get__(each)
-    return {name: value for name, value in found.items() if name not in _IGNORED}
-
-
-_RESET: Final = {"status": Status.INVALID, "current_child": None}
-
-
-def _unneeded(behaviour: Behaviour) -> list[str]:
-    """Return the attributes of a behaviour that decide nothing now: nobody asks how a child has ended."""
-    if behaviour.status is Status.RUNNING:
-        return []
-    parent = behaviour.parent
-    names = []
-    if parent is not None and _is_forgetful(parent):
-        names.append("status")
-    if isinstance(behaviour, Composite) and _is_forgetful(behaviour):
-        names.append("current_child")
-    return names
+    attributes = getattr(each, "__dict__", {})
+    return {name: value for name, value in attributes.items() if name not in _IGNORED}
 
 
 def _is_forgetful(behaviour: Behaviour) -> bool:

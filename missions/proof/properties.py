@@ -1,6 +1,6 @@
 """What must hold in every situation, and how a situation in which it does not is found."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from py_trees.behaviour import Behaviour
@@ -9,8 +9,8 @@ from py_trees.composites import Sequence as SequenceNode
 from kb.elements import AttributeKind
 from missions.proof.environment import STALE
 from missions.proof.exploration import Exploration, Wrong
-from missions.proof.rig import Predicate, Step
-from rosa_bt import ForAction, RosaAction
+from missions.proof.rig import Step, acting
+from missions.proof.setup import Predicate
 
 
 @dataclass(frozen=True)
@@ -43,20 +43,14 @@ class Property:
 
 def always(name: str, predicate: Predicate) -> Property:
     """Require that a predicate holds after every tick."""
-
-    def check(explored: Exploration) -> Wrong | None:
-        return explored.first(
-            set(explored.every) - explored.holds[predicate], "it does not hold then"
-        )
-
-    return Property(name, (predicate,), check)
+    return never(name, lambda rig: not predicate(rig))
 
 
 def never(name: str, predicate: Predicate) -> Property:
     """Require that a predicate holds after no tick."""
 
     def check(explored: Exploration) -> Wrong | None:
-        return explored.first(explored.holds[predicate], "it is so then")
+        return explored.first(explored.holds[predicate], "it is violated then")
 
     return Property(name, (predicate,), check)
 
@@ -66,115 +60,68 @@ def eventually(name: str, predicate: Predicate) -> Property:
     return leads_to(name, lambda rig: True, predicate)
 
 
-def leads_to(name: str, first: Predicate, then: Predicate, within: int | None = None) -> Property:
-    """Require that `then` follows whenever `first` holds.
-
-    Args:
-        name: in words.
-        first: the predicate that it follows.
-        then: the predicate that has to follow.
-        within: after this many ticks at most, whatever happens; None: it only has to be possible.
-    """
+def leads_to(name: str, first: Predicate, then: Predicate) -> Property:
+    """Require that `then` can still come to hold whenever `first` holds."""
 
     def check(explored: Exploration) -> Wrong | None:
-        met = explored.holds[then]
-        begun = sorted(explored.holds[first] & explored.caused())
-        if within is None:
-            good = explored.reaching(met.union(explored.unexplored))
-            return explored.first(set(begun) - good, "it cannot come about any more")
-        for number in begun:
-            trail = explored.avoiding(number, met, within)
-            if trail is not None:
-                return "it has not come about in time", [*explored.path(number), *trail]
-        return None
+        good = explored.reaching(explored.holds[then].union(explored.unexplored))
+        begun = explored.holds[first].intersection(explored.caused())
+        return explored.first(begun - good, "it cannot come about any more")
 
     return Property(name, (first, then), check)
 
 
-def check(
-    explored: Exploration,
-    *,
-    reaction: int = 1,
-    exclusive: Iterable[Collection[str]] = (),
-    wanted: Iterable[Property] = (),
-) -> list[Finding]:
-    """Check the properties that every mission must have, then those wanted; see `verify` for the arguments."""
-    ticks = "a tick" if reaction == 1 else f"{reaction} ticks"
-    groups = [set(group) for group in exclusive]
-    goals = explored.goals & explored.caused()
-    checked: list[tuple[str, Wrong | None]] = [
-        (
-            f"nothing is requested while unfeasible for longer than {ticks}",
-            _unfeasible(explored, reaction),
-        ),
-        ("every request is released once, when what does it ends", _unreleased(explored)),
-        ("actions that exclude each other are not required together", _together(explored, groups)),
-        ("the goal is reached if all goes well", None if goals else ("it is never reached", None)),
-        ("the mission ends with its goal only", _ends_without(explored)),
-        (
-            "wherever the goal can be reached as facts are, the mission is not stuck",
-            _stuck(explored),
-        ),
-        ("it never stands still for good while an action of it is feasible", _dead(explored)),
-        ("while nothing happens, the mission does not waver", _wavering(explored)),
-        ("every node of the tree can be reached", _unreached(explored)),
-        ("every adaptation of the model can occur", _missing(explored)),
-        ("the manager keeps to the model, and ends its plans", _shortest(explored.faults.items())),
-    ]
-    checked += [(each.name, each.check(explored)) for each in wanted]
-    return [_finding(name, bad, is_finished=explored.is_finished) for name, bad in checked]
+def check(explored: Exploration) -> list[Finding]:
+    """Check the properties that every mission must have, then those wanted."""
+    findings = []
+    checks: dict[str, Callable[[Exploration], Wrong | None]] = {
+        "nothing is requested while unfeasible for longer than a tick": _unfeasible,
+        "every request is released once, when what does it ends": _unreleased,
+        "actions that exclude each other are not required together": _together,
+        "the goal is reached if all goes well": _unachieved,
+        "the mission ends with its goal only": _ends_without,
+        "wherever the goal can be reached as facts are, the mission is not stuck": _stuck,
+        "it never stands still for good while an action of it is feasible": _dead,
+        "while nothing happens, the mission does not waver": _wavering,
+        "every node of the tree can be reached": _unreached,
+        "every adaptation of the model can occur": _missing,
+        "the manager keeps to the model, and ends its plans": _mismanaged,
+        **{each.name: each.check for each in explored.rig.setup.wanted},
+    }
+    for name, find in checks.items():
+        wrong = find(explored)
+        if wrong is None or (wrong[1] is None and not explored.is_finished):
+            findings.append(Finding(name, True if explored.is_finished else None))
+        else:
+            what, trail = wrong
+            findings.append(Finding(name, False, what, None if trail is None else tuple(trail)))
+    return findings
 
 
-def notes(explored: Exploration) -> tuple[str, ...]:
+def notes(explored: Exploration) -> list[str]:
     """Return what is no mistake, but good to know."""
     rig = explored.rig
-    done = _actions(explored)
-    requesting = {leaf.name for leaf in rig.requesting}
-    found = [f"{name} is not done by this tree" for name in rig.kb.actions if name not in done]
-    found += [
-        f"{name} requests actions by itself: its requests are followed"
-        for name in sorted(requesting)
-    ]
-    return tuple(found if not requesting else found[-len(requesting) :])
+    requesting = sorted({leaf.name for leaf in rig.requesting})
+    if requesting:
+        return [
+            f"{name} requests actions by itself: its requests are followed" for name in requesting
+        ]
+    done = {node.action for node in rig.doing}
+    return [f"{name} is not done by this tree" for name in rig.kb.actions if name not in done]
 
 
-def _finding(name: str, bad: Wrong | None, *, is_finished: bool) -> Finding:
-    if bad is None or (bad[1] is None and not is_finished):
-        return Finding(name, True if is_finished else None)
-    what, trail = bad
-    return Finding(name, False, what, None if trail is None else tuple(trail))
-
-
-def _shortest(bad: Iterable[tuple[str, Sequence[Step]]]) -> Wrong | None:
-    return min(bad, key=lambda each: len(each[1]), default=None)
-
-
-def _actions(explored: Exploration) -> set[str]:
-    return {node.action for node in explored.rig.doing}
-
-
-def _unfeasible(explored: Exploration, reaction: int) -> Wrong | None:
-    """Find a request that stays unfeasible during `reaction` consecutive ticks."""
-    layer: dict[tuple[str, int], list[Step]] = {}
-    for count in range(reaction):
-        following: dict[tuple[str, int], list[Step]] = {}
-        for number in explored.every if count == 0 else dict.fromkeys(place for _, place in layer):
-            for each in explored.following(number):
-                still = set(each.before.unfeasible) & set(explored.known[each.after].unfeasible)
-                for action in sorted(still):
-                    if count == 0 or (action, number) in layer:
-                        trail = layer[action, number] if count else explored.path(number)
-                        following.setdefault((action, each.after), [*trail, each.step])
-        layer = following
-    return _shortest(
-        (f"{action} is still requested", trail) for (action, _), trail in layer.items()
-    )
+def _unfeasible(explored: Exploration) -> Wrong | None:
+    for number in explored.every:
+        for each in explored.following(number):
+            for action in {*each.late} & {*explored.seen[each.after].unfeasible}:
+                return f"{action} is still requested", [*explored.path(number), each.step]
+    return None
 
 
 def _unreleased(explored: Exploration) -> Wrong | None:
     for number in explored.every:
-        running = explored.doing[number].running
-        for action in sorted(running ^ set(explored.known[number].required)):
+        running = explored.seen[number].running
+        for action in sorted(running ^ {*explored.seen[number].required}):
             what = f"{action} is still requested, and nothing that does it runs"
             if action in running:
                 what = f"{action} is not requested any more, and what does it still runs"
@@ -182,37 +129,37 @@ def _unreleased(explored: Exploration) -> Wrong | None:
     return None
 
 
-def _together(explored: Exploration, groups: Iterable[set[str]]) -> Wrong | None:
+def _together(explored: Exploration) -> Wrong | None:
+    actions = explored.rig.kb.actions
+    groups = [{actions[name].name for name in group} for group in explored.rig.setup.exclusive]
     for number in explored.every:
         for group in groups:
-            both = group.intersection(explored.known[number].required)
+            both = group.intersection(explored.seen[number].required)
             if len(both) > 1:
                 return explored.first([number], f"{' and '.join(sorted(both))} are required")
     return None
 
 
+def _unachieved(explored: Exploration) -> Wrong | None:
+    return None if explored.goals.intersection(explored.caused()) else ("it is never reached", None)
+
+
 def _ends_without(explored: Exploration) -> Wrong | None:
     """Find an end of the mission that is not its goal, by deeds that bring about what succeeds."""
-    reached: dict[int, list[Step]] = {0: []}
-    pending = [0]
-    for number in pending:
-        what = explored.misses(number) if number in explored.ended else ""
+    for number in explored.caused():
+        what = explored.misses(number) if explored.seen[number].has_succeeded else ""
         if what:
-            return what, reached[number]
-        for each in explored.following(number):
-            if each.is_caused and each.after not in reached:
-                reached[each.after] = [*reached[number], each.step]
-                pending.append(each.after)
+            return what, explored.path(number)
     return None
 
 
 def _stuck(explored: Exploration) -> Wrong | None:
     """Find a situation that leads to no end while facts stay, though another of its stage with equal facts does."""
-    ended = {number for number in explored.every if explored.doing[number].is_over}
-    good = explored.reaching((explored.goals | ended).union(explored.unexplored), still=True)
+    ended = {number for number in explored.every if explored.seen[number].is_over}
+    good = explored.reaching(ended.union(explored.goals, explored.unexplored), still=True)
     here = [
-        (explored.doing[number].stage, each.deeds, each.facts.failed, each.facts.values)
-        for number, each in enumerate(explored.situations)
+        (seen.stage, each.deeds, each.facts.failed, each.facts.values)
+        for seen, each in zip(explored.seen, explored.situations, strict=True)
     ]
     reaching = explored.reaching(explored.goals, still=True) - explored.goals
     possible = {here[number] for number in reaching}
@@ -222,38 +169,23 @@ def _stuck(explored: Exploration) -> Wrong | None:
 
 def _dead(explored: Exploration) -> Wrong | None:
     """Find a situation in which nothing is ever required unless a fact changes that only the robot changes."""
-    alive = {
-        number
-        for number in explored.every
-        if explored.known[number].required or explored.doing[number].is_over
-    }
-    before: dict[int, list[int]] = {}
+    alive = set(explored.unexplored)
     for number in explored.every:
-        for each in explored.following(number):
-            if each.is_still:
-                before.setdefault(each.after, []).append(number)
-    pending = [*alive, *explored.unexplored]
-    alive.update(pending)
-    while pending:
-        new = [number for number in before.get(pending.pop(), ()) if number not in alive]
-        alive.update(new)
-        pending += new
+        if explored.seen[number].required or explored.seen[number].is_over:
+            alive.add(number)
+    alive = explored.reaching(alive, still=True)
     for number in explored.every:
-        able = _able(explored, explored.known[number].feasible)
+        able = sorted(_able(explored, explored.seen[number].feasible))
         if number not in alive and able and not _waits(explored, number, alive):
-            what = f"nothing is required, though {' and '.join(sorted(able))} could be done"
+            what = f"nothing is required, though {' and '.join(able)} could be done"
             return explored.first([number], what)
     return None
 
 
 def _able(explored: Exploration, feasible: frozenset[str]) -> set[str]:
     """Return the feasible actions of the tree that are not behind an unfeasible one in a sequence."""
-    able = set()
-    for node in explored.rig.doing:
-        before = [*_before(node)]
-        if node.action in feasible and all(action in feasible for action in before):
-            able.add(node.action)
-    return able
+    doing = explored.rig.doing
+    return {node.action for node in doing if feasible.issuperset([node.action, *_before(node)])}
 
 
 def _before(node: Behaviour) -> Iterator[str]:
@@ -261,21 +193,16 @@ def _before(node: Behaviour) -> Iterator[str]:
     while (parent := node.parent) is not None:
         if isinstance(parent, SequenceNode):
             for child in parent.children[: parent.children.index(node)]:
-                yield from (
-                    each.action
-                    for each in child.iterate()
-                    if isinstance(each, RosaAction | ForAction)
-                )
+                yield from (each.action for each in acting(child.iterate()))
         node = parent
 
 
 def _waits(explored: Exploration, number: int, alive: set[int]) -> bool:
     """Tell whether it goes on when a part recovers or a fact changes that changes by itself."""
-    rig = explored.rig
     if {None, STALE}.intersection(explored.situations[number].facts.values):
         return True
     by_itself = set()
-    for name, attribute in rig.kb.model.attributes.items():
+    for name, attribute in explored.rig.kb.model.attributes.items():
         is_outside = attribute.kind is AttributeKind.ENVIRONMENTAL
         if is_outside or any(not rate.while_ for rate in attribute.rates):
             by_itself.add(name)
@@ -289,37 +216,30 @@ def _waits(explored: Exploration, number: int, alive: set[int]) -> bool:
 
 def _wavering(explored: Exploration) -> Wrong | None:
     """Find a cycle of different requests while all conditions keep their answer and every action keeps running."""
+    letters = explored.rig.letters
     for kept in "FS":
         onward: dict[int, tuple[Step, int]] = {}
         for number in explored.every:
             for each in explored.following(number):
-                if each.is_still and all(
-                    letter == ("R" if "R" in explored.rig.letters[name] else kept)
-                    for name, letter in each.step.answers
-                ):
+                usual = [
+                    (name, "R" if "R" in letters[name] else kept) for name, _ in each.step.answers
+                ]
+                if not each.step.changes and [*each.step.answers] == usual:
                     onward.setdefault(number, (each.step, each.after))
         visited: set[int] = set()
         for number in onward:
-            trail, cycle = _cycle(onward, number, visited)
-            done = {", ".join(explored.known[place].required) or "nothing" for place in cycle}
+            trail: dict[int, Step] = {}
+            place = number
+            while place in onward and place not in visited:
+                visited.add(place)
+                trail[place], place = onward[place]
+            places = [*trail]
+            cycle = places[places.index(place) :] if place in trail else []
+            done = {", ".join(explored.seen[each].required) or "nothing" for each in cycle}
             if len(done) > 1:
                 what = f"it goes to and fro between {' and '.join(sorted(done))}"
-                return what, [*explored.path(number), *trail]
+                return what, [*explored.path(number), *trail.values()]
     return None
-
-
-def _cycle(
-    onward: dict[int, tuple[Step, int]], start: int, visited: set[int]
-) -> tuple[list[Step], list[int]]:
-    """Return the rounds until a situation comes again, and the situations between the two."""
-    trail: dict[int, Step] = {}
-    place = start
-    while place in onward and place not in visited:
-        visited.add(place)
-        trail[place], place = onward[place]
-    places = list(trail)
-    cycle = places[places.index(place) :] if place in trail else []
-    return list(trail.values()), cycle
 
 
 def _unreached(explored: Exploration) -> Wrong | None:
@@ -329,20 +249,17 @@ def _unreached(explored: Exploration) -> Wrong | None:
 
 
 def _missing(explored: Exploration) -> Wrong | None:
-    names = list(_never(explored))
-    return (f"never: {', '.join(names)}", None) if names else None
+    """Find the actions of the tree, the designs and the configurations that never occur."""
+    rig = explored.rig
+    expected = [("action", node.action) for node in rig.doing]
+    if rig.setup.failures:  # without failures, what is there for them cannot occur
+        expected += [("function design", name) for name in rig.kb.designs]
+        expected += [("configuration", name) for name in rig.kb.configurations]
+    missing = [
+        f"{kind} {name}" for kind, name in expected if (kind, name) not in explored.occurring
+    ]
+    return (f"never: {', '.join(dict.fromkeys(missing))}", None) if missing else None
 
 
-def _never(explored: Exploration) -> Iterator[str]:
-    """Yield the actions of the tree, the designs and the configurations that never occur."""
-    kb = explored.rig.kb
-    before = [each.before for rounds in explored.rounds for each in rounds]
-    occurring = frozenset().union(*(known.occurring for known in (*before, *explored.known)))
-    for name in kb.actions:
-        if name in _actions(explored) and ("action", name) not in occurring:
-            yield f"action {name}"
-    if explored.rig.environment.failures:  # without failures, what is there for them cannot occur
-        for kind, table in (("function design", kb.designs), ("configuration", kb.configurations)):
-            for name in table:
-                if (kind, name) not in occurring:
-                    yield f"{kind} {name}"
+def _mismanaged(explored: Exploration) -> Wrong | None:
+    return min(explored.faults.items(), key=lambda fault: len(fault[1]), default=None)

@@ -1,4 +1,4 @@
-"""SUAVE: an underwater vehicle searches for a pipeline and inspects it, through murky water and a thruster failure."""
+"""SUAVE: find and inspect a pipeline, in murky water and with a failing thruster."""
 
 from pathlib import Path
 

@@ -1,7 +1,8 @@
-"""The model of the vehicle: its components, functions and actions for searching and inspecting a pipeline.
+"""The model of the vehicle that searches for a pipeline and inspects it.
 
-The knowledge is that of the SUAVE use case in the ROSA paper (Silva et al., section on feasibility): two ways to
-maintain motion answer a thruster failure, three search altitudes answer the visibility of the water.
+The knowledge is that of the SUAVE use case in the ROSA paper (Silva et al., section on
+feasibility): two ways to maintain motion answer a thruster failure, three search altitudes answer
+the visibility of the water.
 """
 
 from kb import Model
@@ -13,7 +14,8 @@ def suave_model(name: str = "suave") -> Model:
     visibility = model.environmental_attribute("water_visibility", unit="m", low=0.0)
     visibility.forecast("constant")
 
-    # What the vehicle is made of. Thrusters are plain hardware: they fail, but nobody switches them.
+    # What the vehicle is made of. Thrusters are plain hardware: they fail, but nobody switches
+    # them.
     thrusters = [model.component(f"c_thruster_{number}") for number in range(1, 7)]
     spiral_search = model.component("spiral_search", kind="lifecycle", always_improve=True)
     follow_pipeline = model.component("follow_pipeline", kind="lifecycle")

@@ -1,4 +1,6 @@
-"""The mission as a behaviour tree: find the pipeline, then inspect it; and the actions of the tree and of plans.
+"""The mission as a behaviour tree: find the pipeline, then inspect it.
+
+And the actions of the tree and of plans.
 
 until inspected
 └── search and inspect
@@ -23,8 +25,8 @@ from rosa_bt.decorators import UntilSuccess
 class SearchPipeline(RosaAction):
     """Search until the camera has seen the pipeline.
 
-    After an interruption the spiral continues by itself where it stopped; the search time over all interruptions is
-    kept here.
+    After an interruption the spiral continues by itself where it stopped; the search time over all
+    interruptions is kept here.
     """
 
     def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
@@ -57,8 +59,8 @@ class SearchPipeline(RosaAction):
 class InspectPipeline(RosaAction):
     """Follow the pipeline until all of it is inspected.
 
-    After an interruption the follower continues by itself where it stopped, but counts its metres from 0 again; the sum
-    of the metres is kept here.
+    After an interruption the follower continues by itself where it stopped, but counts its metres
+    from 0 again; the sum of the metres is kept here.
 
     Attributes:
         inspected_m: inspected length of the pipeline [m].
@@ -67,10 +69,14 @@ class InspectPipeline(RosaAction):
     def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
         super().__init__("inspect", kb, "inspect_pipeline")
         self._percepts = percepts
-        self.inspected_m, self._reported_m, self._heard = 0.0, 0.0, 0
+        self.inspected_m = 0.0
+        self._reported_m = 0.0
+        self._heard = 0
 
     def initialise(self) -> None:
-        self.inspected_m, self._reported_m, self._heard = 0.0, 0.0, 0
+        self.inspected_m = 0.0
+        self._reported_m = 0.0
+        self._heard = 0
 
     def save_progress(self) -> tuple[float, float]:
         return self.inspected_m, self._reported_m
@@ -108,10 +114,14 @@ def suave_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
 
 
 def search_and_inspect(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
-    """Build the subtree that searches and inspects; it fails as soon as its current action becomes unfeasible."""
+    """Build the subtree that searches and inspects.
+
+    It fails as soon as its current action becomes unfeasible.
+    """
     search = feasible_then_act(SearchPipeline(kb, percepts))
     found = Condition("pipeline found?", lambda: percepts.holds("pipeline_found"))
-    # With memory, a search under way ends by itself as a success; the condition does not interrupt it.
+    # With memory, a search under way ends by itself as a success; the condition does not interrupt
+    # it.
     find = Selector("find", memory=True, children=[found, search])
     inspect = feasible_then_act(InspectPipeline(kb, percepts))
     return Sequence("search and inspect", memory=False, children=[find, inspect])

@@ -1,4 +1,7 @@
-"""The simulated sea as a world of missions; the simulator is imported only when a mission runs in it."""
+"""The simulated sea as a world of missions.
+
+The simulator is imported only when a mission runs in it.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -54,7 +57,8 @@ class Sea(World):
         return self._env.settings
 
     def advance(self, until: float) -> list[Message]:
-        env, nodes = self._env, self._nodes
+        env = self._env
+        nodes = self._nodes
         while True:
             end = nodes.next_event()
             messages = env.advance(until if end >= until else max(env.now, end), pause=True)
@@ -111,13 +115,13 @@ class _SeaKind(WorldKind):
         self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase
     ) -> Verdict:
         return self.judge(
-            percepts, results, any(one.action == "recharge" for one in kb.history.actions)
+            percepts, results, any(action.action == "recharge" for action in kb.history.actions)
         )
 
     def judge(
         self, percepts: Percepts, results: Mapping[str, float | None], needed_recharge: bool
     ) -> Verdict:
-        """Judge by the goal; `needed_recharge` tells whether the battery ran low or a recharge began."""
+        """Judge by the goal; `needed_recharge`: the battery ran low or a recharge began."""
         if percepts.holds("pipeline_inspected"):
             return Verdict("inspected_all", "the whole pipeline is inspected")
         if not percepts.holds("pipeline_found"):

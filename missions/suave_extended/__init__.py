@@ -1,4 +1,4 @@
-"""Extended SUAVE: as SUAVE, and the battery drops to a critical level, so that the task has to change too."""
+"""Extended SUAVE: as SUAVE, with a battery that drops, so the task has to change too."""
 
 from pathlib import Path
 

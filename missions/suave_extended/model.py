@@ -5,7 +5,7 @@ from missions.suave.model import suave_model
 
 
 def suave_extended_model() -> Model:
-    """Build the model; searching and inspecting need a quarter of the battery, recharging needs none."""
+    """Build the model; searching and inspecting need a quarter of the battery."""
     model = suave_model("suave_extended")
     battery = model.quality_attribute("battery_level", low=0.0, high=1.0)
     battery.changes(

@@ -1,4 +1,4 @@
-"""The extended mission as a behaviour tree: search and inspect as long as that is feasible, recharge otherwise.
+"""The extended mission as a behaviour tree: search and inspect while feasible, else recharge.
 
 until inspected
 └── mission
@@ -37,7 +37,8 @@ class Recharge(RosaAction):
 
 def suave_extended_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     """Build the tree; it runs until the whole pipeline is inspected."""
-    # With memory, a recharge that has begun is finished although the battery is full a moment before it ends.
+    # With memory, a recharge that has begun is finished although the battery is full a moment
+    # before it ends.
     mission = do_until_unfeasible(
         search_and_inspect(kb, percepts), Recharge(kb, percepts), memory=True, name="mission"
     )

@@ -165,7 +165,7 @@ class ScriptedManaged(SimulatedComponents):
         recorded = self._recorded.get((verb, component))
         if not recorded or (verb, component) in self._scripts:
             return super()._script(verb, component)
-        return recorded[min(self._given[verb, component], len(recorded) - 1)]
+        return recorded[min(self._counts[verb, component], len(recorded) - 1)]
 
     @property
     def active(self) -> frozenset[str]:

@@ -36,7 +36,8 @@ class Breakpoint:
     """One condition; it is met when it begins to hold.
 
     Args:
-        text: such as "inspect_pipeline unfeasible", "battery_level < 0.25" or "'follow pipeline' success".
+        text: such as "inspect_pipeline unfeasible", "battery_level < 0.25" or "'follow pipeline'
+            success".
 
     Raises:
         MissionError: the text is no condition; the message shows the forms.
@@ -64,7 +65,7 @@ class Breakpoint:
             raise MissionError(f"{text!r} is no breakpoint; {_FORM}")
 
     def check(self, model: Model, behaviours: Iterable[str]) -> None:
-        """Raise a MissionError with the nearest names if nothing has the name of this breakpoint."""
+        """Raise a MissionError with the nearest names if nothing has this name."""
         names = list(model.attributes)
         if self._compare is None:
             elements = [model.actions, model.functions, model.designs]
@@ -76,7 +77,7 @@ class Breakpoint:
         advice = f"; did you mean {' or '.join(close)}?" if close else ""
         raise MissionError(f"breakpoint {self.text!r}: nothing is named {self.name!r}{advice}")
 
-    def is_met(self, track: str, key: int | str, name: str, value: Any) -> bool:  # noqa: ANN401  # what a row shows
+    def is_met(self, track: str, key: int | str, name: str, value: Any) -> bool:  # noqa: ANN401
         """Return whether a row of a page makes the condition hold, which did not hold before."""
         if name != self.name or value is None:
             return False
@@ -96,7 +97,7 @@ class Breakpoint:
 
 
 class Breakpoints:
-    """Hears the rows of a page, and calls a function with each breakpoint that is met and the time [s]."""
+    """Watches the rows of a page for breakpoints, and calls a function for each that is met."""
 
     def __init__(self, met: Callable[[Breakpoint, float], object]) -> None:
         self.all: list[Breakpoint] = []
@@ -105,12 +106,12 @@ class Breakpoints:
 
     def watch(self, rows: Rows) -> None:
         """Hear the rows from now on; what holds already meets no breakpoint."""
-        if self.hear in rows.heard:
+        if self.hear in rows.listeners:
             return
         latest, _ = rows.snapshot()
         for row in latest:
             self.hear(row)
-        rows.heard.append(self.hear)
+        rows.listeners.append(self.hear)
 
     def hear(self, row: Row) -> None:
         """Take in a row: (time, track, key, value)."""

@@ -45,7 +45,7 @@ def _progress(console: Console, *columns: ProgressColumn) -> Progress:
 
 
 class Narrator(Listener):
-    """Prints what happens, above a bar of `duration_s` simulated seconds while `progress` is open."""
+    """Prints events above a progress bar of `duration_s` simulated seconds."""
 
     def __init__(self, console: Console, duration_s: float) -> None:
         begin = TextColumn("{task.completed:5.1f} s")

@@ -1,12 +1,13 @@
-"""What a page shows of a knowledge base, as plain data: elements, reasons, what-if cases, causes of adaptations."""
+"""The knowledge base as plain data for a page: elements, reasons, what-if cases, causes."""
 
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from itertools import pairwise
-from math import inf
+from itertools import islice, pairwise
+from math import inf, isfinite
 from typing import Any, Final
 
 from kb import Event, KnowledgeBase, Situation, Status
+from kb.planning import Choice, choice_by_priority
 from missions.engine.adaptations import Adaptation
 from missions.views.output import plain
 
@@ -14,6 +15,9 @@ Names = Mapping[tuple[str, str], int]
 """The number of an element, by kind and name."""
 Base = KnowledgeBase | Situation
 _CASES: Final = 60
+_NAMED: Final = 3
+"""How many elements a link names; it counts the rest."""
+_ORDER: Final = ("news", "status", "replan", "end", "request", "plan", "force")
 _CHOICES: Final = {
     "function": ("designs", "function design"),
     "component": ("configurations", "configuration"),
@@ -46,7 +50,9 @@ def views_of(base: Base) -> dict[str, Mapping[str, Any]]:
 
 
 class ElementTable:
-    """Numbers the elements of a knowledge base; an element keeps its number when the model is amended.
+    """Numbers the elements of a knowledge base.
+
+    An element keeps its number when the model is amended.
 
     Attributes:
         names: the number of each element that is there now, by kind and name.
@@ -59,7 +65,10 @@ class ElementTable:
         self._views: dict[int, tuple[str, Any]] = {}
 
     def describe(self, units: Mapping[str, str]) -> Iterator[tuple[int, dict[str, Any] | None]]:
-        """Yield each element as plain data that refers to others by number; None for one that is gone."""
+        """Yield each element as plain data that refers to others by number.
+
+        None for one that is gone.
+        """
         before = set(self._views)
         self._views = {}
         owners: defaultdict[int, list[int]] = defaultdict(list)
@@ -84,17 +93,20 @@ class ElementTable:
                 data |= {"of": str(view.kind), "unit": unit, "max_age": plain(view.max_age)}
                 data["thresholds"] = limits[view.name]
             else:
-                data["constraints"] = [self._numbers[one.element] for one in view.constraints]
+                data["constraints"] = [
+                    self._numbers[constraint.element] for constraint in view.constraints
+                ]
                 data |= self._relations(kind, view)
             yield number, data
         for number in sorted(before - set(self._views)):
             yield number, None
 
     def standing(self, kinds: Collection[str]) -> Iterator[tuple[int, str, str, bool | str]]:
-        """Yield what holds of each element now: its number, its kind, a track of the page, and the value.
+        """Yield the facts of each element now: its number, its kind, a track of the page, a value.
 
         Args:
-            kinds: the kinds of elements whose statuses may have changed; other statuses are left out.
+            kinds: the kinds of elements whose statuses may have changed; other statuses are left
+                out.
         """
         for number, (kind, view) in self._views.items():
             if kind in kinds and kind != "attribute":
@@ -103,14 +115,20 @@ class ElementTable:
                 yield number, kind, track, getattr(view, fact)
 
     def explain(self, number: int) -> dict[str, Any]:
-        """Return why an element has its status, what would help, and what is chosen for whom it belongs to."""
+        """Return the reason for an element's status, its remedies, and the choice for its owner."""
         kind, view = self._views[number]
         explained = self._kb.explain(view)
-        rows = {"why": explained.sentence, "help": [str(one) for one in explained.remedies] or None}
+        rows = {
+            "why": explained.sentence,
+            "help": [str(remedy) for remedy in explained.remedies] or None,
+        }
         return rows if kind not in _CHOICES else rows | self.choice(number)
 
     def choice(self, number: int) -> dict[str, Any]:
-        """Return why a function or component has the design or configuration that it has; empty if it has none."""
+        """Return why a function or component has the design or configuration that it has.
+
+        Empty if it has none.
+        """
         kind, view = self._views[number]
         parts, part_kind = _CHOICES[kind]
         if not getattr(view, parts):
@@ -125,7 +143,10 @@ class ElementTable:
         return {"choice": facts | {"alternatives": alternatives}}
 
     def owner(self, number: int) -> int | None:
-        """Return the function of a design or the component of a configuration; None for other elements."""
+        """Return the function of a design or the component of a configuration.
+
+        None for other elements.
+        """
         kind, view = self._views[number]
         if kind == "function design":
             return self.names["function", view.function]
@@ -136,7 +157,7 @@ class ElementTable:
         self._views[number] = kind, view
         return number
 
-    def _relations(self, kind: str, view: Any) -> dict[str, Any]:  # noqa: ANN401  # a view of any kind
+    def _relations(self, kind: str, view: Any) -> dict[str, Any]:  # noqa: ANN401
         def numbers(kind: str, names: Iterable[str]) -> list[int]:
             return [self.names[kind, name] for name in names]
 
@@ -158,80 +179,71 @@ class ElementTable:
 
 
 def supposed(base: KnowledgeBase, situation: Situation, names: Names) -> dict[str, Any]:
-    """Return what would be feasible in a situation, what would be selected by priority, and which statuses differ."""
-    adaptable = set(situation.adaptable_functions())
-    designs: dict[str, str] = {}
+    """Return what a situation makes feasible, what is chosen there, and which statuses differ."""
+    with situation.reading() as state:
+        choice = choice_by_priority(state) or Choice({}, {})
     chosen: dict[str, int | None] = {}
     for name, function in situation.functions.items():
         if function.designs:
-            design = _first(
-                situation.designs, situation.selectable_designs(name), name in adaptable
-            )
+            design = choice.designs.get(name) or _selected(situation.designs, function.designs)
             chosen[str(names["function", name])] = names.get(("function design", design))
-            if name in adaptable and design:
-                designs[name] = design
-    adaptable = set(situation.adaptable_components(designs))
     for name, component in situation.components.items():
-        if component.configurations:
-            possible = situation.selectable_configurations(name)
-            configuration = _first(situation.configurations, possible, name in adaptable)
-            chosen[str(names["component", name])] = names.get(("configuration", configuration))
+        parts = component.configurations
+        if parts:
+            part = choice.configurations.get(name) or _selected(situation.configurations, parts)
+            chosen[str(names["component", name])] = names.get(("configuration", part))
+    views_now = views_of(base)
     status = {}
-    for (kind, views), now in zip(
-        views_of(situation).items(), views_of(base).values(), strict=True
-    ):
+    for kind, views in views_of(situation).items():
         for name, view in () if kind == "attribute" else views.items():
-            if view.status != now[name].status:
+            if view.status != views_now[kind][name].status:
                 status[str(names[kind, name])] = str(view.status)
     feasible = [names["action", name] for name in situation.selectable_actions()]
     return {"feasible": feasible, "status": status, "chosen": chosen}
 
 
-def _first(parts: Mapping[str, Any], possible: Iterable[str], is_adaptable: bool) -> str:
-    """Return the part that is selected, or the first by priority if it is adaptable; empty if there is none."""
-    views = [parts[name] for name in possible]
-    selected = [view.name for view in views if view.is_selected]
-    if selected and not is_adaptable:
-        return str(selected[0])
-    ranks = [(inf if view.priority is None else view.priority, view.name) for view in views]
-    return str(min(ranks, default=(0.0, ""))[1])
+def _selected(views: Mapping[str, Any], parts: Iterable[str]) -> str:
+    """Return the part that is selected and not unfeasible; empty if there is none."""
+    for name in parts:
+        if views[name].is_selected and views[name].status is not Status.UNFEASIBLE:
+            return name
+    return ""
 
 
 def cases(kb: KnowledgeBase, names: Names) -> list[dict[str, Any]]:
-    """Return what would be feasible if one thing were different: at most 60 cases of values, and 60 of components.
+    """Return what would be feasible if one value or one component were different.
 
-    One value of each interval between thresholds is tried: all values in an interval give the same statuses. Each
-    component is supposed to have failed, or to have recovered if it has failed.
+    One value of each interval between thresholds is tried: all values in an interval give the same
+    statuses. Each component is supposed to have failed, or to have recovered if it has failed.
     """
-    known = []
-    for name, value, low, high in list(_intervals(kb))[:_CASES]:
+    tried: list[dict[str, Any]] = []
+    for name, now, low, high in islice(_intervals(kb), _CASES):
+        is_now = low <= now < high
+        value = now if is_now else _inside(low, high)
         case = {"attribute": names["attribute", name], "low": plain(low), "high": plain(high)}
-        is_now = low <= value < high
-        value = value if is_now else _inside(low, high)
         case |= {"value": value, "now": is_now}
-        known.append(case | supposed(kb, kb.situation({name: value}), names))
-    for name, view in list(kb.components.items())[:_CASES]:
-        if view.status is Status.FAILURE:
-            verb, situation = "recovered", kb.situation(recovered=[name])
-        else:
-            verb, situation = "failed", kb.situation(failed=[name])
+        tried.append(case | supposed(kb, kb.situation({name: value}), names))
+    for name, component in islice(kb.components.items(), _CASES):
+        is_failed = component.status is Status.FAILURE
+        verb = "recovered" if is_failed else "failed"
+        situation = kb.situation(recovered=[name]) if is_failed else kb.situation(failed=[name])
         case = {"component": names["component", name], "verb": verb}
-        known.append(case | supposed(kb, situation, names))
-    return known
+        tried.append(case | supposed(kb, situation, names))
+    return tried
 
 
 def _intervals(kb: KnowledgeBase) -> Iterator[tuple[str, float, float, float]]:
-    """Yield the intervals between the thresholds of each measured attribute: name, value now, low and high end."""
+    """Yield the intervals between the thresholds of each attribute: name, value now, low, high."""
     turns: defaultdict[str, set[float]] = defaultdict(set)
     for kind, views in views_of(kb).items():
         for view in () if kind == "attribute" else views.values():
             for constraint in view.constraints:
-                threshold = constraint.value
-                turns[constraint.attribute].add(threshold)
                 margin = constraint.element.hysteresis
-                if constraint.status is Status.VIOLATED and margin:
-                    sign = 1 if constraint.operator in (">=", ">") else -1
-                    turns[constraint.attribute].add(float(f"{threshold + sign * margin:.15g}"))
+                if constraint.status is not Status.VIOLATED:
+                    margin = 0.0
+                elif constraint.operator in ("<=", "<"):
+                    margin = -margin
+                turns[constraint.attribute].add(float(f"{constraint.value + margin:.15g}"))
     for name, attribute in kb.attributes.items():
         if turns[name] and attribute.value is not None:
             for low, high in pairwise([-inf, *sorted(turns[name]), inf]):
@@ -240,10 +252,11 @@ def _intervals(kb: KnowledgeBase) -> Iterator[tuple[str, float, float, float]]:
 
 def _inside(low: float, high: float) -> float:
     """Return a value between two ends, of which one may be infinite."""
-    if -inf < low and high < inf:
+    if isfinite(low) and isfinite(high):
         return low + (high - low) / 2
-    span = max(abs(low if high == inf else high), 1.0) * 0.1
-    return low + span if low > -inf else high - span
+    end = low if isfinite(low) else high
+    span = max(abs(end), 1.0) * 0.1
+    return end + span if isfinite(low) else end - span
 
 
 def level_of(event: Event) -> str:
@@ -253,15 +266,10 @@ def level_of(event: Event) -> str:
         return "error"
     is_vetoed = event.verb == "record_answer" and bool(event.arguments[1])
     is_lost = any(change.new is Status.UNFEASIBLE for change in event.changes)
-    return "warning" if is_vetoed or is_lost or event.verb == "note_no_choice" else "info"
+    return "warning" if is_vetoed or is_lost else "info"
 
 
-_OPPOSITE: Final = {">=": "<", ">": "<=", "<=": ">", "<": ">="}
-_NAMED: Final = 3
-"""How many elements a link names; it counts the rest."""
-
-
-# -------------------------------------------------------------------- from the cause of an adaptation to its effect
+# -------------------------------------------------------------------- from cause to effect
 
 
 def chain_of(
@@ -271,108 +279,73 @@ def chain_of(
     names: Names,
     nodes: Mapping[int, Sequence[int]],
 ) -> list[dict[str, Any]]:
-    """Return the links of the chain from news to effect, in that order.
+    """Return the links of the chain from the cause of an adaptation to its effect, in that order.
 
-    `names` gives the index of an element by kind and name, `nodes` the ids of the behaviours that use an action.
+    `names` has the number of an element by kind and name, `nodes` the ids of the behaviours that
+    use an action by the number of the action.
     """
     links: list[dict[str, Any]] = []
 
     def link(
         time: float, what: str, words: str, elements: Iterable[int] = (), event: int | None = None
     ) -> None:
-        about = list(dict.fromkeys(elements))
-        uids = [uid for index in about for uid in nodes.get(index, ())]
-        links.append(
-            {
-                "t": time,
-                "what": what,
-                "words": words,
-                "event": event,
-                "elements": about,
-                "nodes": uids,
-            }
-        )
+        unique = list(dict.fromkeys(elements))
+        uids = [uid for number in unique for uid in nodes.get(number, ())]
+        shown = {"t": time, "what": what, "words": words, "event": event}
+        links.append({**shown, "elements": unique, "nodes": uids})
 
-    by_number = {event.number: event for event in events}
-    news = [by_number[number] for number in adaptation.events if number in by_number]
-    for event in news:
-        link(event.time, "news", _news(event), _subjects(event, names), event.number)
-    if not news:
+    start = adaptation.news_s - 1e-9
+    causes = [event for event in events if event.number in adaptation.events]
+    for event in causes:
+        link(event.time, "news", event.text, _subjects(event, names), event.number)
+        changes = _main_changes(event)
+        if changes:
+            words = ", ".join(f"{change.name} {change.new}" for change in changes[:_NAMED])
+            if len(changes) > _NAMED:
+                words += f" and {len(changes) - _NAMED} more"
+            numbers = [names[change.kind, change.name] for change in changes]
+            link(event.time, "status", words, numbers, event.number)
+    if not causes:
         link(adaptation.news_s, "news", adaptation.trigger)
-    for event in news:
-        changed = _telling(event)
-        if changed:
-            more = f" and {len(changed) - _NAMED} more" if len(changed) > _NAMED else ""
-            words = ", ".join(f"{one.name} {one.new}" for one in changed[:_NAMED]) + more
-            link(
-                event.time,
-                "status",
-                words,
-                [names[one.kind, one.name] for one in changed],
-                event.number,
-            )
-    start, plan = adaptation.news_s - 1e-9, None
-    for one in task_plans:
-        if start <= one.at_s <= adaptation.at_s and (
-            one.cause is None or one.cause in adaptation.events or not news
-        ):
-            plan = one
-    if plan is not None:
-        steps = ", then ".join(dict.fromkeys(step.action or step.schema for step in plan.steps))
-        found = f"replanned: {steps}" if plan.outcome.is_solved else f"no plan: {plan.outcome}"
-        link(plan.at_s, "replan", found, event=plan.cause)
-    for verb, action, words in (
-        ("cancel_action", adaptation.before, "stopped"),
-        ("request_action", adaptation.action, "requested"),
-    ):
-        made = [
-            one
-            for one in events
-            if one.verb == verb and one.subject == action and start <= one.time
-        ]
-        if action and made:
-            what = "end" if verb == "cancel_action" else "request"
-            link(
-                made[-1].time, what, f"{action} {words}", [names["action", action]], made[-1].number
-            )
+    for plan in list(task_plans)[::-1]:
+        is_for_it = not causes or plan.cause is None or plan.cause in adaptation.events
+        if start <= plan.at_s <= adaptation.at_s and is_for_it:
+            steps = ", then ".join(dict.fromkeys(step.action or step.schema for step in plan.steps))
+            is_solved = plan.outcome.is_solved
+            words = f"replanned: {steps}" if is_solved else f"no plan: {plan.outcome}"
+            link(plan.at_s, "replan", words, event=plan.cause)
+            break
+    decisions = {("cancel_action", adaptation.before), ("request_action", adaptation.action)}
+    for event in events:
+        is_in_time = start <= event.time <= adaptation.at_s + 1e-9
+        if is_in_time and (event.verb, event.subject) in decisions:
+            is_end = event.verb == "cancel_action"
+            words = f"{event.subject} {'stopped' if is_end else 'requested'}"
+            elements = [names["action", event.subject]]
+            link(event.time, "end" if is_end else "request", words, elements, event.number)
     for words, done in adaptation.plans:
-        number = next((one.number for one in reversed(events) if one.plan is done), None)
+        number = next((event.number for event in reversed(events) if event.plan is done), None)
         elements = [names["component", name] for name in (*done.deactivate, *done.activate)]
         elements += [names["configuration", name] for name in done.parameters]
         link(done.start, "plan", words, elements, number)
     if adaptation.reaction_s is not None:
-        link(
-            adaptation.in_force_s, "force", f"in force {adaptation.reaction_s:.2f} s after the news"
-        )
-    order = ["news", "status", "replan", "end", "request", "plan", "force"]
-    return sorted(links, key=lambda one: (one["t"], order.index(one["what"])))
-
-
-def _news(event: Event) -> str:
-    """Return an event in words; for a measurement, with the threshold that it crossed."""
-    for change in event.changes:
-        if event.verb == "measure" and change.kind == "constraint" and " just " not in event.text:
-            _, operator, threshold = change.name.split(" ", 2)
-            shown = (
-                operator if change.new is not Status.VIOLATED else _OPPOSITE.get(operator, operator)
-            )
-            return f"{event.text.replace(' is ', ' ', 1)} {shown} {threshold}"
-    return event.text
+        words = f"in force {adaptation.reaction_s:.2f} s after the news"
+        link(adaptation.in_force_s, "force", words)
+    return sorted(links, key=lambda link: (link["t"], _ORDER.index(link["what"])))
 
 
 def _subjects(event: Event, names: Names) -> list[int]:
     kind = "attribute" if event.verb in ("measure", "stale", "dwell") else "component"
-    found = [names[kind, event.subject]] if (kind, event.subject) in names else []
-    return found + [names[one.kind, one.name] for one in event.changes if one.kind == "constraint"]
+    subjects = [names[kind, event.subject]] if (kind, event.subject) in names else []
+    for change in event.changes:
+        if change.kind == "constraint":
+            subjects.append(names[change.kind, change.name])
+    return subjects
 
 
-def _telling(event: Event) -> list[Any]:
-    """Return the most telling changes: feasibility of actions, else of other elements, else any other."""
-    turned = [
-        one
-        for one in event.changes
-        if (one.old is Status.UNFEASIBLE) != (one.new is Status.UNFEASIBLE)
-    ]
-    actions = [one for one in turned if one.kind == "action"]
-    others = [one for one in event.changes if one.kind not in ("constraint", "action")]
-    return actions or [one for one in turned if one.kind != "constraint"] or others
+def _main_changes(event: Event) -> list[Any]:
+    """Return the actions that became feasible or unfeasible, else all changed elements."""
+    changes = [change for change in event.changes if change.kind != "constraint"]
+    actions = [change for change in changes if change.kind == "action"]
+    turned = [change for change in actions if Status.UNFEASIBLE in (change.old, change.new)]
+    return turned or [change for change in changes if change.kind != "action"]

@@ -1,7 +1,8 @@
 """The live page: a small server in a thread of its own, which does not slow the robot's ticks.
 
-For each page the server only keeps the number of the next row to send, so no queue can grow. A page that is too slow
-gets the present state instead of the rows that it has missed, and is told how many those were.
+For each page the server only keeps the number of the next row to send, so no queue can grow. A page
+that is too slow gets the present state instead of the rows that it has missed, and is told how many
+those were.
 """
 
 import asyncio
@@ -21,13 +22,13 @@ from urllib.parse import parse_qs, quote, urlsplit
 
 from kb import KnowledgeBase, KnowledgeBaseError
 from kb.elements import finite_number
-from missions.engine.faults import Fault, inject
+from missions.engine.faults import Fault
 from missions.engine.mission import MissionError, needs
 from missions.engine.runner import Listener, MissionRun
 from missions.views.breakpoints import Breakpoint, Breakpoints, read_breakpoints
 from missions.views.facts import supposed
 from missions.views.recorder import Recorder
-from missions.views.report import VERSION, encoded, page_of
+from missions.views.report import encoded, page_of
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -86,14 +87,13 @@ class Steering(Listener):
 
     @property
     def state(self) -> dict[str, Any]:
-        """Whether the run is paused and where it stopped, its speed, breakpoints and injected values."""
+        """The pause, the place of the stop, the speed, the breakpoints and the injected values."""
         with self._change:
-            faults = None if self._run is None else self._run.faults
             return {
                 "paused": self._is_paused,
                 "stopped": self._stopped_at,
                 "speed": self._speed,
-                "held": {} if faults is None else dict(faults.held),
+                "held": dict(self._run.faults.values) if self._run else {},
                 "breaks": [each.text for each in self.breakpoints.all],
             }
 
@@ -105,7 +105,8 @@ class Steering(Listener):
         """Do what a page requests: `request["do"]` is pause, resume, step, speed, break or inject.
 
         Raises:
-            MissionError, kb.UnknownName: there is no such command or element, or its value is not allowed.
+            MissionError, kb.UnknownName: there is no such command or element, or its value is not
+                allowed.
         """
         what = request.get("do")
         with self._change:
@@ -147,7 +148,7 @@ class Steering(Listener):
             faults.append(Fault("measure", name, value=finite_number(value)))
         faults += [Fault("release", name) for name in request.get("release", ())]
         faults += [Fault(verb, request[verb]) for verb in ("fail", "recover") if verb in request]
-        inject(run, *faults)
+        run.faults.add(*faults)
 
     def _open_run(self) -> MissionRun:
         if self._run is None:
@@ -161,7 +162,10 @@ class Steering(Listener):
             self._steps = max(0, self._steps - 1)
 
     def _left(self, simulated: float) -> float:
-        """Return how long the run must wait at a simulated time [s]; infinity while it is paused."""
+        """Return how long the run must wait at a simulated time [s].
+
+        Infinity while it is paused.
+        """
         if self._is_paused:
             return 0.0 if self._steps else inf
         if not self._speed:
@@ -179,7 +183,8 @@ class LiveView(AbstractContextManager["LiveView"]):
         ...                                  # the robot does its work
         view.close()
 
-    It listens on this machine only; with another `host`, a page needs the token, which is part of `url`.
+    It listens on this machine only; with another `host`, a page needs the token, which is part of
+    `url`.
 
     Args:
         tree: the tree that decides; see `Recorder`, whose other arguments can be given too.
@@ -206,7 +211,8 @@ class LiveView(AbstractContextManager["LiveView"]):
     ) -> None:
         with needs("live", "the live page"):
             import websockets  # noqa: F401  # used later, in the server's thread
-        self._kb, self._steering = kb, steering
+        self._kb = kb
+        self._steering = steering
         self._token = token if token is not None or host in _LOOPBACK else token_urlsafe(16)
         self._socket = _listening(host, port)
         port = self._socket.getsockname()[1]
@@ -225,8 +231,7 @@ class LiveView(AbstractContextManager["LiveView"]):
         self.recorder.header["live"] = True
         if steering is not None:
             steering.breakpoints.watch(self.recorder.rows)
-        live = {"socket": f"/ws{query}"}
-        document = {"version": VERSION, "runs": [], "differences": [], "live": live, "note": ""}
+        document = {"run": None, "live": {"socket": f"/ws{query}"}, "note": ""}
         self._page = page_of(document, str(self.recorder.header["title"]))
         self._rows = self.recorder.rows
         self._pages: dict[_Page, None] = {}
@@ -253,23 +258,29 @@ class LiveView(AbstractContextManager["LiveView"]):
     # ---------------------------------------------------------------- the server's own thread
 
     async def _serve(self) -> None:
-        """Wake the pages at each beat with new rows, until the view is closed and they have the last rows."""
+        """Wake the pages at each beat with new rows, until they have the last rows."""
         from websockets.asyncio.server import serve
 
-        silent, closing_s = 0, 0.0
+        silent = 0
+        closing_s = 0.0
         async with serve(self._attend, sock=self._socket, process_request=self._admit, **_SERVER):
             while not self._is_closing or (self._pages and closing_s <= _PATIENCE_S):
                 silent += 1
                 if self._rows.next > self._end or silent >= _SILENCE or self._is_closing:
-                    silent, self._end = 0, self._rows.next
+                    silent = 0
+                    self._end = self._rows.next
                     self._frames.clear()
-                    waiting, self._beat = self._beat, asyncio.Event()
+                    waiting = self._beat
+                    self._beat = asyncio.Event()
                     waiting.set()
                 closing_s += BEAT_S * self._is_closing
                 await asyncio.sleep(BEAT_S)
 
     def _framed(self, start: int) -> tuple[int, str]:
-        """Return the first row's number and the message with the rows up to the last beat; made once for all pages."""
+        """Return the first row's number and the message with the rows up to the last beat.
+
+        Made once for all pages.
+        """
         if start not in self._frames:
             first, rows = self._rows.since(start, self._end - start)
             text = encoded({"rows": rows, "from": first, "now": self._now, "state": self._state})
@@ -289,14 +300,16 @@ class LiveView(AbstractContextManager["LiveView"]):
 
     def _refusal(self, headers: Mapping[str, str], token: str) -> str:
         """Return why a request is refused; empty if it is not."""
-        host, origin = headers.get("host", ""), headers.get("origin")
+        host = headers.get("host", "")
+        origin = headers.get("origin")
         if origin is not None and urlsplit(origin).netloc != host:
             return f"a page from {origin} may not look at this robot; open {self._place} itself"
         if self._token is None:
             return "" if host in self._hosts else f"this is not {host}; open {self.url}"
         if hmac.compare_digest(token.encode(), self._token.encode()):
             return ""
-        return f"the token is {'wrong' if token else 'missing'}; open the address that was printed when the view began"
+        fault = "wrong" if token else "missing"
+        return f"the token is {fault}; open the address that was printed when the view began"
 
     def _admit(self, connection: "ServerConnection", request: "Request") -> "Response | None":
         """Answer a request for the page, or refuse it; return None to open the WebSocket."""
@@ -445,5 +458,6 @@ def _pace(value: Any) -> float:  # noqa: ANN401  # whatever a page sends
     if 0 <= speed <= FASTEST:
         return speed
     raise MissionError(
-        f"a speed must be from 0 (as fast as possible) to {FASTEST:g} times real time, not {value!r}"
+        f"a speed must be from 0 (as fast as possible) to {FASTEST:g} times real time, "
+        f"not {value!r}"
     )

@@ -1,6 +1,7 @@
 """The files of a run: results as JSON, which depend on mission, settings and seed only.
 
-That a file can be written is tried before the run. After the run it is complete, or not there at all.
+That a file can be written is tried before the run. After the run it is complete, or not there at
+all.
 """
 
 import json
@@ -40,7 +41,9 @@ def files_tried(what: str, advice: str = "") -> Iterator[None]:
 
 
 class OutputFile:
-    """A file that replaces the one of its name only when it is complete; its content is in memory until then.
+    """A file that replaces the one of its name only when it is complete.
+
+    Its content is in memory until then.
 
     A device such as /dev/stdout is written directly.
 
@@ -75,7 +78,10 @@ class OutputFile:
 
 
 def open_files(paths: Mapping[str, Path | None]) -> dict[str, OutputFile]:
-    """Return the files that options ask for; raise before any work is done if one cannot be written."""
+    """Return the files that options ask for.
+
+    Raise before any work is done if one cannot be written.
+    """
     return {name: OutputFile(path) for name, path in paths.items() if path is not None}
 
 
@@ -85,7 +91,10 @@ _ADAPTATION: Final = ("at_s", "kind", "trigger", "reason", "change", "reaction_s
 def summary(
     run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return a finished run, with the settings that were given, as plain data; times in [s], units in the names."""
+    """Return a finished run, with the settings that were given, as plain data.
+
+    Times in [s], units in the names.
+    """
     return {
         "mission": run.mission.name,
         "task": run.task,
@@ -96,24 +105,24 @@ def summary(
         "outcome_reason": verdict.reason,
         "duration_s": run.world.now,
         **run.results(),
-        "adaptations": [_fields(one, *_ADAPTATION) for one in run.adaptations],
+        "adaptations": [_fields(adaptation, *_ADAPTATION) for adaptation in run.adaptations],
         "actions": [
             {
-                "name": one.action,
-                "start_s": one.start,
-                "end_s": one.end,
-                **_fields(one, "result", "reason"),
+                "name": action.action,
+                "start_s": action.start,
+                "end_s": action.end,
+                **_fields(action, "result", "reason"),
             }
-            for one in run.actions
+            for action in run.actions
         ],
         "plans": [
-            {**_fields(one, "at_s", "reason"), "outcome": str(one.outcome), "engine": one.engine}
-            | {"steps": [str(step) for step in one.steps]}
-            for one in run.plans
+            {**_fields(plan, "at_s", "reason"), "outcome": str(plan.outcome), "engine": plan.engine}
+            | {"steps": [str(step) for step in plan.steps]}
+            for plan in run.plans
         ],
         **({"plans_from": run.plans[0].number} if run.plans and run.plans[0].number > 1 else {}),
         "reactions": [
-            _fields(one, "uncertainty", "start_s", "delay_s") for one, _ in run.reactions
+            _fields(reaction, "uncertainty", "start_s", "delay_s") for reaction, _ in run.reactions
         ],
         "disturbances": [{"at_s": time, "what": text} for time, text in run.disturbances()],
         "diagnostics_problems": [
@@ -122,38 +131,43 @@ def summary(
     }
 
 
-def _fields(one: object, *names: str) -> dict[str, Any]:
-    return {name: getattr(one, name) for name in names}
+def _fields(record: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(record, name) for name in names}
 
 
 def as_json(data: Mapping[str, Any]) -> str:
-    """Return data as JSON text; numbers have 6 decimals, so that rounding errors of sums do not show."""
+    """Return data as JSON text.
+
+    Numbers have 6 decimals, so that rounding errors of sums do not show.
+    """
     return json.dumps(plain(data, digits=6), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401  # whatever JSON holds
-    """Return a value that JSON can hold: floats rounded to `digits`, NaN and infinity as None, objects as text."""
+    """Return a value for JSON: floats rounded, NaN and infinity as None, objects as text."""
     if isinstance(value, Mapping):
-        return {str(key): plain(one, digits) for key, one in value.items()}
+        return {str(key): plain(part, digits) for key, part in value.items()}
     if isinstance(value, float):
-        return (
-            None if not math.isfinite(value) else value if digits is None else round(value, digits)
-        )
+        if not math.isfinite(value):
+            return None
+        return value if digits is None else round(value, digits)
     if value is None or isinstance(value, int | str):
         return value
-    return [plain(one, digits) for one in value] if isinstance(value, list | tuple) else str(value)
+    if isinstance(value, list | tuple):
+        return [plain(part, digits) for part in value]
+    return str(value)
 
 
 def timing_of(run: MissionRun, wall_s: float) -> dict[str, Any]:
-    """Return how long a run took on this machine: in all, and the compute time of each part and reaction [s]."""
+    """Return the wall and compute times of a run, its parts and its reactions [s]."""
     return {
         "simulated_s": run.world.now,
         "wall_s": wall_s,
         "simulated_s_per_wall_s": run.world.now / wall_s,
         "compute_s": run.compute_s,
         "reactions": [
-            _fields(one, "uncertainty", "start_s") | {"compute_s": took_s}
-            for one, took_s in run.reactions
+            _fields(reaction, "uncertainty", "start_s") | {"compute_s": took_s}
+            for reaction, took_s in run.reactions
         ],
     }
 
@@ -161,16 +175,20 @@ def timing_of(run: MissionRun, wall_s: float) -> dict[str, Any]:
 def figure_in_words(
     name: str, value: float | None, model: Model | None = None
 ) -> tuple[str, str, str]:
-    """Return the words, unit and value of a figure as texts: "energy_used_j" gives "energy used", "J" and "3152.6".
+    """Return the words, unit and value of a figure as texts.
 
-    The unit is that of the model's attribute of this name, else the ending of the name, else empty. None gives "-".
+    For example, "energy_used_j" gives "energy used", "J" and "3152.6".
+
+    The unit is that of the model's attribute of this name, else the ending of the name, else empty.
+    None gives "-".
     """
     ends = [end for end in UNITS if name.endswith(f"_{end}")]
     unit = max(ends, key=len, default="")
     words = name.removesuffix(f"_{unit}").replace("_", " ")
     sign = UNITS.get(unit, "")
     if model is not None and name in model.attributes:
-        words, sign = name.replace("_", " "), model.attributes[name].unit
+        words = name.replace("_", " ")
+        sign = model.attributes[name].unit
     if value is None:
         shown = "-"
     elif float(value).is_integer() and (

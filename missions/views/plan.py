@@ -1,6 +1,7 @@
 """Shows a plan to people: its steps with what they need, and a picture of their causal order.
 
-The picture goes from top to bottom, to the goal: a step that waits for another is in a layer below it.
+The picture goes from top to bottom, to the goal: a step that waits for another is in a layer below
+    it.
 """
 
 from collections import defaultdict
@@ -30,7 +31,7 @@ _STEP, _GOAL = (f'fill="{fill}" stroke="{_EDGE}"' for fill in ("#eef3f8", "#d5ec
 
 
 class Link(NamedTuple):
-    """A step (numbered from 0) makes true the (negated) atoms that a later step needs, or the goal, which is last."""
+    """A step that makes true the atoms that a later step or the goal needs."""
 
     source: int
     target: int
@@ -38,17 +39,25 @@ class Link(NamedTuple):
 
 
 class CausalOrder(NamedTuple):
-    """Why the steps of a plan come in their order; steps that it does not order may change places."""
+    """Why the steps of a plan come in their order.
+
+    Steps that it does not order may change places.
+    """
 
     steps: tuple[Step, ...]
     links: tuple[Link, ...]
     orders: tuple[tuple[int, int], ...]
-    """(earlier, later): the later step would undo what the earlier one needs or does, and no links order them."""
+    """(earlier, later): the later step would undo what the earlier one needs or does, and no links
+    order them."""
 
 
 def lines_of(answer: Answer) -> Iterator[str]:
-    """Yield a plan, a line for each step with the steps that it needs; or the reason why there is no plan."""
-    question, result = answer.question, answer.result
+    """Yield a plan, a line for each step with the steps that it needs.
+
+    Or the reason why there is no plan.
+    """
+    question = answer.question
+    result = answer.result
     if not result.outcome.is_solved:
         yield f"no plan: {result.message or result.outcome}"
         yield from (f"  {obstacle}" for obstacle in answer.obstacles)
@@ -82,7 +91,7 @@ def as_data(result: PlanningResult) -> dict[str, object]:
 
 
 def certificate_lines(certificate: Certificate) -> Iterator[str]:
-    """Yield a table: the plan for each combination of unfeasible actions, and the failures that end the mission."""
+    """Yield the plan for each set of unfeasible actions, and the failures that end the mission."""
     rows = [("unfeasible", "cost", "plan")]
     for out, result in certificate.entries.items():
         plan = ", ".join(map(str, result.steps)) or "nothing is left to do"
@@ -123,7 +132,9 @@ def causal_order(
         if number < len(steps):
             needed, changed, after = _replayed(domain, steps[number], state)
         else:
-            needed, changed, after = set(mentioned_atoms(domain, goals, (), {})), frozenset(), state
+            needed = set(mentioned_atoms(domain, goals, (), {}))
+            changed = frozenset()
+            after = state
         causes: defaultdict[int, list[str]] = defaultdict(list)
         for atom in sorted(needed & changer.keys()):
             causes[changer[atom]].append(atom if atom in state else f"(not {atom})")
@@ -138,7 +149,8 @@ def causal_order(
 
 def _replayed(domain: Domain, step: Step, state: State) -> tuple[set[str], State, State]:
     """Return the atoms that a step needs, the atoms that it changes, and the state after it."""
-    schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
+    schema = domain.schema_of[step.schema]
+    binding = binding_of(domain, step)
     needed = set(mentioned_atoms(domain, schema.start, schema.start_effects, binding))
     meanwhile = started(domain, step, state)
     changed = state ^ meanwhile
@@ -161,7 +173,9 @@ def _beyond(
         for source in {source for source, target in linked if target == later}:
             before[later] |= {source, *before[source]}
         # the latest first: what comes before it then follows
-        for earlier in sorted((one for one, other in threats if other == later), reverse=True):
+        for earlier in sorted(
+            (first for first, second in threats if second == later), reverse=True
+        ):
             if earlier not in before[later]:
                 orders.append((earlier, later))
                 before[later] |= {earlier, *before[earlier]}
@@ -171,7 +185,8 @@ def _beyond(
 def svg_of(order: CausalOrder, title: str) -> str:
     """Draw a plan in layers, from top to bottom: each step is below all that it waits for.
 
-    An arrow has the facts that one step makes true for another; a dashed one is for a step that only has to wait.
+    An arrow has the facts that one step makes true for another; a dashed one is for a step that
+    only has to wait.
     """
     arrows = [(link.source, link.target, " ".join(link.needs)) for link in order.links]
     arrows += [(earlier, later, "") for earlier, later in order.orders]
@@ -205,7 +220,8 @@ def svg_of(order: CausalOrder, title: str) -> str:
     markers = [_MARKER.format(name, colour) for name, colour in (("so", _EDGE), ("wait", _LATER))]
     return "\n".join(
         [
-            f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}" {FONT}>',
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}"',
+            f"{FONT}>",
             f"<title>{escape(title)}</title>",
             *markers,
             f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
@@ -232,7 +248,10 @@ _Arrow = tuple[int, int, str]
 
 
 def _layers(goal: int, arrows: Sequence[_Arrow]) -> list[list[int]]:
-    """Return the steps of each layer; a step is one layer below the lowest that it waits for, the goal is last."""
+    """Return the steps of each layer.
+
+    A step is one layer below the lowest that it waits for, the goal is last.
+    """
     depths: list[int] = []
     for number in range(goal):
         before = [depths[earlier] + 1 for earlier, later, _ in arrows if later == number]
@@ -260,12 +279,15 @@ def _lines(order: CausalOrder, number: int) -> list[str]:
 def _arrow(boxes: Mapping[int, _Box], arrows: Sequence[_Arrow], arrow: _Arrow) -> Iterator[str]:
     """Yield an arrow and the facts beside its end; the arrows to a step end beside one another."""
     earlier, later, words = arrow
-    source, target = boxes[earlier], boxes[later]
+    source = boxes[earlier]
+    target = boxes[later]
     place = [each for each in arrows if each[1] == later].index(arrow)
     x = target.x + 8 + _ENTRY * place
-    start, end = source.y + source.height, target.y
+    start = source.y + source.height
+    end = target.y
     turn = end - LINE * (place + 1)
-    way = f"M{source.x + 8:g} {start:g}C{source.x + 8:g} {turn:g} {x:g} {start:g} {x:g} {turn:g}V{end:g}"
+    left = source.x + 8
+    way = f"M{left:g} {start:g}C{left:g} {turn:g} {x:g} {start:g} {x:g} {turn:g}V{end:g}"
     style = f'stroke="{_EDGE}"' if words else f'stroke="{_LATER}" stroke-dasharray="5 4"'
     marker = "so" if words else "wait"
     yield f'<path d="{way}" fill="none" {style} marker-end="url(#{marker})"/>'

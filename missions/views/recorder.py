@@ -1,4 +1,4 @@
-"""Makes the rows of a page from a knowledge base and a tree: the same for live pages, reports and recordings."""
+"""Makes the rows of pages, reports and recordings from a knowledge base and a tree."""
 
 import logging
 from collections import deque
@@ -47,22 +47,27 @@ PLANS: Final = 256  # task plans that are remembered, for the same
 
 
 class Recorder:
-    """Writes down what a robot knows and does, as rows; create it in the robot's program before the first tick.
+    """Writes down what a robot knows and does, as rows.
+
+    Create it in the robot's program before the first tick.
 
         recorder = Recorder(kb, tree)
         ...                                  # the robot does its work
         recorder.report("run.html")
 
     Args:
-        tree: the tree that decides, a `TreeRunner` or a py_trees tree; None if there is none. It may change.
+        tree: the tree that decides, a `TreeRunner` or a py_trees tree; None if there is none. It
+            may change.
         title: of the page; by default the name of the model.
         units: of attributes, by name, e.g. {"water_visibility": "m"}.
-        pose: returns the robot's position (x, y, z) [m], world frame, z up; called at most twice a second.
+        pose: returns the robot's position (x, y, z) [m], world frame, z up; called at most twice a
+            second.
         scene: what the map shows: points (n, 2) [m], world frame, by name.
         keep: how many of the newest rows to keep; None for all.
-        what_if: whether to work out, whenever news changes a status, what would be feasible if another value had
-            been measured.
-        header: of a run whose adaptations come by `adapted` or as rows, and are not looked for here; has the units.
+        what_if: whether to work out, whenever news changes a status, what would be feasible if
+            another value had been measured.
+        header: of a run whose adaptations come by `adapted` or as rows, and are not looked for
+            here; has the units.
 
     Raises:
         MissionError: `tree` is a behaviour, not a tree that ticks one.
@@ -83,44 +88,38 @@ class Recorder:
     ) -> None:
         self.rows = Rows(keep)
         self.header: dict[str, Any] = {
-            **{
-                "live": False,
-                "title": title or kb.model.name,
-                "model": kb.model.name,
-                "units": dict(units or {}),
-            },
-            **{
-                "mission": "",
-                "words": "",
-                "task": "",
-                "manager": "ours",
-                "seed": None,
-                "settings": {},
-            },
+            "live": False,
+            "title": title or kb.model.name,
+            "model": kb.model.name,
+            "units": dict(units or {}),
+            "mission": "",
+            "words": "",
+            "task": "",
+            "manager": "ours",
+            "seed": None,
+            "settings": {},
             **(header or {}),
         }
-        self.kb, self._pose, self._what_if = kb, pose, what_if
-        self._own = (
-            None
-            if header is not None
-            else AdaptationLog(kb, self.adapted, lambda: self._task_plans)
-        )
-        if self._own is not None:
-            self._own.news(inf)
+        self.kb = kb
+        self._pose = pose
+        self._what_if = what_if
+        self._own = None
+        if header is None:
+            self._own = AdaptationLog(kb, self.adapted, lambda: self._task_plans)
         self._elements = ElementTable(kb)
         self._standing: dict[tuple[int, str], bool | str] = {}
         self._events: deque[Event] = deque(maxlen=_REMEMBERED)
         self._supposed = self._adapted = self._planned = self._troubles = 0
         self._posed_at = -inf
         self._task_plans: list[Any] = []
-        self._heard: dict[Any, Any] = {}  # the last task plan of each behaviour
+        self._last_plans: dict[Any, Any] = {}  # by behaviour
         if isinstance(tree, Behaviour):
             raise MissionError(
                 f"{tree.name!r} is a behaviour; give the TreeRunner or py_trees tree that ticks it"
             )
         self._look(kb.now)
-        for one in kb.required_actions:
-            self.acted(one.number, one)
+        for action in kb.required_actions:
+            self.acted(action.number, action)
         self._tree = (
             _TreeRows(self, tree.tree if isinstance(tree, TreeRunner) else tree) if tree else None
         )
@@ -139,7 +138,7 @@ class Recorder:
         self.rows.put(self.kb.now, "scene", 0, shown)
 
     def put(self, track: str, key: int | str, value: object, time: float | None = None) -> None:
-        """Add a row at a time [s], by default now: of track "signal", "disturbance", "problem" or another of a page."""
+        """Add a row at a time [s], by default now, to a track such as "signal" or "problem"."""
         self.rows.put(self.kb.now if time is None else time, track, key, value)
 
     @property
@@ -180,15 +179,14 @@ class Recorder:
         self._events.append(event)
         shown = {"verb": event.verb, "words": event.text, "kind": str(event.kind)}
         shown["level"] = level_of(event)
-        shown |= {
-            name: one for name, one in event.to_json().items() if name in ("cause", "changes")
-        }
+        plain_event = event.to_json()
+        shown |= {name: plain_event[name] for name in ("cause", "changes") if name in plain_event}
         self.rows.put(time, "event", event.number, shown)
         self._look(time, event)
         self._note_records(event)
         if (
             self._what_if
-            and any(one.kind != "constraint" for one in event.changes)
+            and any(change.kind != "constraint" for change in event.changes)
             and is_news(self.kb, event)
         ):
             self.suppose(time)
@@ -197,7 +195,10 @@ class Recorder:
             self._own.settle()
 
     def _look(self, time: float, event: Event | None = None) -> None:
-        """Write rows for what an event has changed of any element, and why; without an event, for all there is."""
+        """Write rows for what an event has changed of any element, and why.
+
+        Without an event, for all there is.
+        """
         kinds: Collection[str] = {change.kind for change in event.changes} if event else KINDS
         if event is None or event.verb == "amend":
             kinds = KINDS
@@ -227,12 +228,13 @@ class Recorder:
 
     def _note_records(self, event: Event) -> None:
         """Write rows for the action, plan or parameters that an event changed."""
-        time, rows, names = event.time, self.rows, self.names
+        time = event.time
+        rows = self.rows
+        names = self.names
         if event.verb in ("request_action", "cancel_action"):
-            one = next(
-                one for one in reversed(self.kb.history.actions) if one.action == event.subject
-            )
-            self.acted(one.number, one)
+            records = reversed(self.kb.history.actions)
+            record = next(record for record in records if record.action == event.subject)
+            self.acted(record.number, record)
         elif event.plan is not None or event.verb == "finish_plan":
             for plan in reversed(self.kb.plans):
                 shown = {"words": str(plan), "cause": plan.cause, **_ending(plan)}
@@ -242,7 +244,7 @@ class Recorder:
                 rows.put(time, "plan", plan.number, shown)
                 if plan.end is not None and plan.end < time:
                     break
-        if event.verb in ("finish_attempt", "component_configured", "component_active"):
+        if event.verb in ("finish_attempt", "component_active"):
             for name, view in self.kb.components.items():
                 if view.parameters_in_force:
                     rows.put(
@@ -264,9 +266,9 @@ class Recorder:
 
     def ticked(self, planning: Iterable[Any]) -> None:
         """End a tick in which these behaviours may have made task plans."""
-        for one in planning:
-            for plan in plans_after(self._heard.get(one), one.plans):
-                self._heard[one] = plan
+        for behaviour in planning:
+            for plan in plans_after(self._last_plans.get(behaviour), behaviour.plans):
+                self._last_plans[behaviour] = plan
                 self._planned += 1
                 self._task_plans.append(plan)
                 shown = {name: getattr(plan, name) for name in ("engine", "reason", "message")}
@@ -285,18 +287,15 @@ class Recorder:
     def posed(self, time: float, position: Sequence[float]) -> None:
         """Write the robot's position (x, y, z) [m], unless it is not known (NaN)."""
         if all(map(isfinite, position)):
-            self.rows.put(time, "pose", 0, [round(float(one), 3) for one in position])
+            self.rows.put(time, "pose", 0, [round(float(metres), 3) for metres in position])
 
-    def acted(self, number: int, one: RequiredAction) -> None:
+    def acted(self, number: int, action: RequiredAction) -> None:
         """Write an action that has begun or ended."""
-        self.put(
-            "action",
-            number,
-            {"action": self.names["action", one.action], "cause": one.cause, **_ending(one)},
-        )
+        shown = {"action": self.names["action", action.action], "cause": action.cause}
+        self.put("action", number, shown | _ending(action))
 
     def adapted(self, adaptation: Adaptation) -> None:
-        """Write an adaptation that is in force or has failed, with the chain from cause to effect."""
+        """Write an adaptation that is over, with the chain from cause to effect."""
         self._adapted += 1
         nodes = {} if self._tree is None else self._tree.about
         shown = {
@@ -328,7 +327,7 @@ class Recorder:
         self.put("problem", self._troubles, words)
 
     def elements_of(self, behaviour: Behaviour) -> list[int]:
-        """Return the index of the action that a behaviour is for, in a list that is empty if there is none."""
+        """Return the number of the action of a behaviour in a list, empty if it has none."""
         try:
             action = getattr(behaviour, "action", None)
         except Exception:  # py_trees raises several kinds if a port is not connected yet
@@ -338,11 +337,12 @@ class Recorder:
 
 
 class _TreeRows(VisitorBase):
-    """Writes the statuses of a tree after each tick, and the tree itself whenever it has changed."""
+    """Writes the statuses of a tree after each tick, and the tree when it has changed."""
 
     def __init__(self, recorder: Recorder, tree: BehaviourTree) -> None:
         super().__init__(full=False)
-        self._recorder, self._behaviours = recorder, tree
+        self._recorder = recorder
+        self._behaviours = tree
         self._ids: dict[Behaviour, int] = {}
         self._known: dict[Behaviour, tuple[str, str]] = {}
         self._below: list[tuple[Behaviour, list[Behaviour]]] = []
@@ -384,11 +384,12 @@ class _TreeRows(VisitorBase):
 
     def _note(self) -> None:
         recorder = self._recorder
-        is_news = any(one.children != children for one, children in self._below)
+        is_news = any(parent.children != children for parent, children in self._below)
         if is_news:
             self._describe()
         present = {
-            one: (_LETTERS[one.status].lower(), one.feedback_message) for one in self._ids
+            behaviour: (_LETTERS[behaviour.status].lower(), behaviour.feedback_message)
+            for behaviour in self._ids
         } | self._ticked
         for behaviour, uid in self._ids.items():
             if present[behaviour] != self._known.get(behaviour):
@@ -401,10 +402,13 @@ class _TreeRows(VisitorBase):
         recorder.ticked(self._planning)
 
     def _describe(self) -> None:
-        recorder, nodes = self._recorder, []
+        recorder = self._recorder
+        nodes = []
         parents: list[tuple[Behaviour, int | None]] = [(self._behaviours.root, None)]
         present: dict[Behaviour, int] = {}
-        self._below, self._planning, self.about = [], [], {}
+        self._below = []
+        self._planning = []
+        self.about = {}
         while parents:
             behaviour, parent = parents.pop()
             if behaviour in present:
@@ -439,14 +443,20 @@ def _shape(behaviour: Behaviour) -> str:
     return "other" if behaviour.children else "action"
 
 
-def _ending(one: RequiredAction | ReconfigurationPlan) -> dict[str, Any]:
-    return {name: getattr(one, name) for name in ("start", "end", "result", "reason")}
+def _ending(record: RequiredAction | ReconfigurationPlan) -> dict[str, Any]:
+    return {
+        "start": record.start,
+        "end": record.end,
+        "result": record.result,
+        "reason": record.reason,
+    }
 
 
 class RunRecorder(Listener):
     """Listens to a mission's run and writes its rows; call `end` after the run.
 
-    If the manager has no knowledge base, one is made here; it hears the same messages, for the statuses and reasons.
+    If the manager has no knowledge base, one is made here; it hears the same messages, for the
+    statuses and reasons.
 
     Args:
         keep: how many of the newest rows to keep; None for all.
@@ -472,21 +482,15 @@ class RunRecorder(Listener):
         self._measured = frozenset(kb.attributes)
         signals = dict(map(_split, sample.signals if sample else ()))
         header = {
-            **{
-                "title": run.mission.name,
-                "mission": run.mission.name,
-                "words": run.mission.summary,
-            },
-            **{
-                "task": run.task,
-                "manager": run.manager,
-                "seed": seed,
-                "settings": dict(sorted(settings.items())),
-            },
-            **{
-                "signals": list(signals),
-                "units": {name: unit for name, unit in signals.items() if unit},
-            },
+            "title": run.mission.name,
+            "mission": run.mission.name,
+            "words": run.mission.summary,
+            "task": run.task,
+            "manager": run.manager,
+            "seed": seed,
+            "settings": dict(sorted(settings.items())),
+            "signals": list(signals),
+            "units": {name: unit for name, unit in signals.items() if unit},
         }
         tree = getattr(run, "tree", None)
         self.recorder = Recorder(kb, tree, keep=keep, what_if=what_if, header=header)
@@ -524,13 +528,15 @@ class RunRecorder(Listener):
 
     def _show(self) -> None:
         """Write the sample, the scenery and the new disturbances of the world."""
-        recorder, run, sample = self.recorder, self._run, self._sample
+        recorder = self.recorder
+        run = self._run
+        sample = self._sample
         if sample is not None:
             recorder.posed(sample.time, sample.position)
             for signal, value in sample.signals.items():
                 if _split(signal)[0] not in self._measured:
                     recorder.put("signal", signal, round(value, 4))
-        scenery = run.ask("scenery", self._scene)
+        scenery = run.ask("scenery")
         if tuple(scenery) != self._scene:  # names alone tell that it has changed
             self._scene = tuple(scenery)
             recorder.show(scenery)
@@ -540,8 +546,8 @@ class RunRecorder(Listener):
                 number = len(self._disturbed)
                 recorder.put("disturbance", number, {"t": time, "words": text})
         if self._own is not None:
-            for number, one in enumerate(run.actions, start=1):
-                recorder.acted(number, one)
+            for number, action in enumerate(run.actions, start=1):
+                recorder.acted(number, action)
 
 
 def _split(signal: str) -> tuple[str, str]:

@@ -1,4 +1,6 @@
-"""The view in a terminal of 80 by 24, e.g. over ssh: tree, statuses, adaptations with reasons, measurements.
+"""The view in a terminal of 80 by 24, e.g.
+
+Over ssh: tree, statuses, adaptations with reasons, measurements.
 
 It shows the same rows as the page: the last row of each track and key.
 """
@@ -22,9 +24,15 @@ _PERIOD_S: Final = 0.2
 _SPARKS: Final = "▁▂▃▄▅▆▇█"
 _KEPT: Final = 400
 _STYLES: Final = {
-    **{"R": ("▶", "blue"), "S": ("✓", "green"), "F": ("✕", "red"), "": ("·", "dim")},
-    **{"solved": ("✓", "green"), "feasible": ("○", "green"), "unsolved": ("…", "yellow")},
-    **{"unfeasible": ("✕", "red"), "failure": ("✕", "red")},
+    "R": ("▶", "blue"),
+    "S": ("✓", "green"),
+    "F": ("✕", "red"),
+    "": ("·", "dim"),
+    "solved": ("✓", "green"),
+    "feasible": ("○", "green"),
+    "unsolved": ("…", "yellow"),
+    "unfeasible": ("✕", "red"),
+    "failure": ("✕", "red"),
 }
 """Sign and colour of a status, of a behaviour or an element."""
 _LOGGED: Final = {"event": "info", "taskplan": "info", "disturbance": "warning", "problem": "error"}
@@ -33,7 +41,7 @@ _LEVELS: Final = {"info": "blue", "warning": "yellow", "error": "bold red"}
 
 
 class Fold:
-    """What to show now: the last row of each track and key, and the latest values of each measurement."""
+    """The last row of each track and key, and the latest values of each measurement."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -67,25 +75,26 @@ class Fold:
 
     def known(self) -> Iterator[Text]:
         """Yield actions, functions and components with status, selection and reason."""
-        status, elements = self.track("status"), self.track("element")
+        status = self.track("status")
+        elements = self.track("element")
         for kind, chosen_by in (
             ("action", ""),
             ("function", "designs"),
             ("component", "configurations"),
         ):
             yield Text(f"{kind}s", "bold")
-            for key, one in elements.items():
-                if one is None or one["kind"] != kind:
+            for key, element in elements.items():
+                if element is None or element["kind"] != kind:
                     continue
-                line = _signed(str(status.get(key, "")), one["name"])
+                line = _signed(str(status.get(key, "")), element["name"])
                 if self.track("required").get(key):
                     line.append(" required", "bold")
                 if self.track("active").get(key):
                     line.append(" runs", "blue")
                 chosen = [
-                    elements[one]["name"]
-                    for one in one.get(chosen_by) or ()
-                    if self.track("selected").get(one)
+                    elements[part]["name"]
+                    for part in element.get(chosen_by) or ()
+                    if self.track("selected").get(part)
                 ]
                 line.append(f" {', '.join(chosen)}" if chosen else "", "cyan")
                 why = (
@@ -97,15 +106,16 @@ class Fold:
 
     def adaptations(self) -> Iterator[Text]:
         """Yield the adaptations, the latest first: time, change and cause."""
-        for one in reversed(list(self.track("adaptation").values())):
-            yield (
-                Text(f"{one['t']:7.1f} s  ", "dim")
-                + Text(str(one["changed"]), "bold")
-                + Text(f"\n{'':11}{one['cause']}", "dim")
-            )
+        for adaptation in reversed(list(self.track("adaptation").values())):
+            line = Text(f"{adaptation['t']:7.1f} s  ", "dim")
+            line.append(str(adaptation["changed"]), "bold")
+            yield line.append(f"\n{'':11}{adaptation['cause']}", "dim")
 
     def log(self, words: str) -> Iterator[Text]:
-        """Yield what happened, the latest first: time, level and text; only what has the words, if any are given."""
+        """Yield what happened, the latest first: time, level and text.
+
+        Only what has the words, if any are given.
+        """
         entries = []
         for track, level in _LOGGED.items():
             for entry in self.track(track).values():
@@ -139,9 +149,10 @@ def _signed(status: str, text: str) -> Text:
 
 def _course(values: deque[float], width: int) -> str:
     shown = list(values)[-width:]
-    low, high = min(shown), max(shown)
+    low = min(shown)
+    high = max(shown)
     step = (high - low) / (len(_SPARKS) - 1) or 1.0
-    return "".join(_SPARKS[int((one - low) / step)] for one in shown)
+    return "".join(_SPARKS[int((value - low) / step)] for value in shown)
 
 
 class TerminalView(App[None]):

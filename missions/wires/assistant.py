@@ -13,8 +13,9 @@ from importlib.metadata import version
 from inspect import signature
 from typing import TYPE_CHECKING, Any, Final
 
-from kb import Event, EventKind, KnowledgeBase, KnowledgeBaseError
+from kb import EventKind, KnowledgeBase, KnowledgeBaseError
 from missions.engine.mission import Mission, MissionError, needs
+from missions.views.output import plain
 from rosa_pddl import RosaPddlError
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 _MOST: Final = 100
 """How many decisions are reported at most."""
 _PLANNING_S: Final = 10.0
+_ACTING: Final = ("request_action", "cancel_action")
+"""The tools that act."""
 _log = logging.getLogger(__name__)
 INSTRUCTIONS: Final = (
     "A robot's knowledge base: which actions can be done now, why not, what would help, and how "
@@ -49,32 +52,23 @@ class Assistant:
             name: {"feasible": kb.is_feasible(name), "why": kb.why(view)}
             for name, view in kb.actions.items()
         }
-        return {
-            "actions": actions,
-            "being done": [request.action for request in kb.required_actions],
-        }
+        required = [request.action for request in kb.required_actions]
+        return {"actions": actions, "being done": required}
 
     def what_is_known(self) -> dict[str, Any]:
         """Say what was measured, and the status of every element of the model."""
         kb = self._kb
-        measured = {
-            name: {"value": view.value, "time": view.time, "unit": view.unit}
-            for name, view in kb.attributes.items()
-        }
-        components = {
-            name: {
-                "status": str(view.status),
-                "active": view.is_active,
-                "parameters": dict(view.parameters_in_force),
-            }
-            for name, view in kb.components.items()
-        }
         return {
-            "measured": measured,
+            "measured": _shown(kb.attributes, value="value", time="time", unit="unit"),
             "functions": {name: str(view.status) for name, view in kb.functions.items()},
-            "designs": _selectable(kb.designs),
-            "components": components,
-            "configurations": _selectable(kb.configurations),
+            "designs": _shown(kb.designs, status="status", selected="is_selected"),
+            "components": _shown(
+                kb.components,
+                status="status",
+                active="is_active",
+                parameters="parameters_in_force",
+            ),
+            "configurations": _shown(kb.configurations, status="status", selected="is_selected"),
         }
 
     def why(self, element: str) -> str:
@@ -90,12 +84,10 @@ class Assistant:
     ) -> dict[str, Any]:
         """Say what could be done with other values and failed components; changes nothing."""
         situation = self._kb.situation(measured or {}, failed=failed or ())
-        unfeasible = {
-            name: situation.why(view)
-            for name, view in situation.actions.items()
-            if not situation.is_feasible(name)
-        }
-        return {"feasible": list(situation.selectable_actions()), "unfeasible": unfeasible}
+        feasible = list(situation.selectable_actions())
+        views = situation.actions.items()
+        unfeasible = {name: situation.why(view) for name, view in views if name not in feasible}
+        return {"feasible": feasible, "unfeasible": unfeasible}
 
     def best_configuration(self, action: str) -> dict[str, Any]:
         """Say which designs and configurations would be chosen now if an action were to be done."""
@@ -110,20 +102,29 @@ class Assistant:
 
         if self._mission is None:
             raise MissionError("this robot has no mission in PDDL to plan for")
-        goals, feasible = [goal] if goal else [], self._kb.selectable_actions()
-        found = answer(ask(mission=self._mission, feasible=feasible, goals=goals), _PLANNING_S)
+        feasible = self._kb.selectable_actions()
+        goals = [goal] if goal else []
+        reply = answer(ask(mission=self._mission, feasible=feasible, goals=goals), _PLANNING_S)
         return {
-            "outcome": str(found.result.outcome),
-            "steps": [str(step) for step in found.result.steps],
-            "cost": found.result.cost,
-            "obstacles": list(found.obstacles),
+            "outcome": str(reply.result.outcome),
+            "steps": [str(step) for step in reply.result.steps],
+            "cost": reply.result.cost,
+            "obstacles": list(reply.obstacles),
         }
 
     def latest_decisions(self, most: int = 20) -> list[dict[str, Any]]:
         """Tell the last decisions with their causes: requests, and plans with their reasons."""
         kinds = (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)
         events = [event for event in self._kb.log if event.kind in kinds]
-        return [_decision(event) for event in events[-max(1, min(most, _MOST)) :]]
+        return [
+            {
+                "time": event.time,
+                "what": event.text,
+                "why": "" if event.plan is None else event.plan.reason,
+                "caused by event": event.cause,
+            }
+            for event in events[-max(1, min(most, _MOST)) :]
+        ]
 
     def request_action(self, action: str) -> dict[str, Any]:
         """Ask for an action to be done; refused, with the reason, unless it is feasible now."""
@@ -136,21 +137,13 @@ class Assistant:
         return {"accepted": True, "reason": ""}
 
 
-_ACTING: Final = ("request_action", "cancel_action")
-"""The tools that act."""
-
-
-def _decision(event: Event) -> dict[str, Any]:
-    reason = event.plan.reason if event.plan is not None else ""
-    cause = {"caused by event": event.cause}
-    return {"time": event.time, "what": event.text, "why": reason, **cause}
-
-
-def _selectable(views: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        name: {"status": str(view.status), "selected": view.is_selected}
-        for name, view in views.items()
-    }
+def _shown(views: Mapping[str, Any], **attributes: str) -> dict[str, Any]:
+    """Return some attributes of views, each under another name, as JSON has them."""
+    shown = {}
+    for name, view in views.items():
+        values = {key: getattr(view, attribute) for key, attribute in attributes.items()}
+        shown[name] = plain(values)
+    return shown
 
 
 def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServer":
@@ -163,44 +156,41 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
         from mcp.server import MCPServer
         from mcp.server.mcpserver.exceptions import ToolError
         from mcp.types import ToolAnnotations
-    names = [name for name in vars(Assistant) if not name.startswith("_")]
-    tools = {
-        name: getattr(assistant, name) for name in names if allow_actions or name not in _ACTING
+    tools: dict[str, Callable[..., Any]] = {
+        name: getattr(assistant, name)
+        for name in vars(Assistant)
+        if not name.startswith("_") and (allow_actions or name not in _ACTING)
     }
 
     class Server(MCPServer):
         async def call_tool(self, name: str, arguments: dict[str, Any], context: Any = None) -> Any:  # noqa: ANN401  # as in its base
+            """Call a tool, and pass on our errors in words; an unknown argument is one."""
             if name not in tools:
                 raise ToolError(f"there is no tool {name!r:.80}; there are {', '.join(tools)}")
             accepted = signature(tools[name]).parameters
             for argument in arguments:  # else it is ignored, and another question is answered
                 if argument not in accepted:
-                    known = ", ".join(accepted) or "nothing"
-                    raise ToolError(f"{name} takes no {argument!r:.80}; it takes {known}")
+                    names = ", ".join(accepted) or "nothing"
+                    raise ToolError(f"{name} takes no {argument!r:.80}; it takes {names}")
+            _log.info("an assistant asks %s %.200r", name, arguments)
             return await super().call_tool(name, arguments, context)
+
+    def in_words(tool: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(tool)
+        def call(*values: Any, **named: Any) -> Any:  # noqa: ANN401  # those of the tool
+            try:
+                return tool(*values, **named)
+            except (KnowledgeBaseError, MissionError, RosaPddlError) as error:
+                text = re.sub(r"\w{80,}", lambda name: f"{name[0][:77]}...", str(error))
+                raise ToolError(f"{text:.1000}") from None
+
+        return call
 
     server = Server("rosa-taca", version=version("rosa-taca"), instructions=INSTRUCTIONS)
     for name, tool in tools.items():
         hints = ToolAnnotations(read_only_hint=name not in _ACTING)
-        server.tool(name, annotations=hints)(_logged(tool))
+        server.tool(name, annotations=hints)(in_words(tool))
     return server
-
-
-def _logged(tool: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a tool that logs each call, and passes on the text of our errors."""
-
-    @wraps(tool)
-    def call(*values: Any, **named: Any) -> Any:  # noqa: ANN401  # those of the tool
-        _log.info("an assistant asks %s %.200r", tool.__name__, named or values)
-        try:
-            return tool(*values, **named)
-        except (KnowledgeBaseError, MissionError, RosaPddlError) as error:
-            from mcp.server.mcpserver.exceptions import ToolError
-
-            text = re.sub(r"\w{80,}", lambda name: f"{name[0][:77]}...", str(error))
-            raise ToolError(f"{text:.1000}") from None
-
-    return call
 
 
 def serve_http(server: "MCPServer", port: int, token: str) -> None:

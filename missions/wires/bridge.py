@@ -13,11 +13,12 @@ from functools import partial
 from typing import Any, Final
 
 from kb import DiagnosticRules, Event, EventKind, KnowledgeBase, KnowledgeBaseError
+from kb.views import AttributeView
 from missions.engine.mission import MissionError, Percepts
 from missions.wires import ros
 from missions.wires.actions import connect
 from missions.wires.components import RosComponents
-from missions.wires.node import Message, Node, Refusals
+from missions.wires.node import NONSENSE, Message, Node, Refusals
 from missions.wires.services import LOG, RosaServices
 from missions.wires.settings import BridgeSettings
 
@@ -100,11 +101,10 @@ class Bridge:
         self._node = node
         self._clock = clock
         self._percepts = percepts
-        self._stamps = dict.fromkeys(settings.attributes, -math.inf)
+        self._stamps = dict.fromkeys(settings.attributes, math.inf)
         for name, place in settings.attributes.items():
-            _ = kb.attributes[name]
             topic, path, kind = _place(name, place)
-            node.subscribe(topic, kind, partial(self._measure, name, path))
+            node.subscribe(topic, kind, partial(self._measure, kb.attributes[name], path))
         self._rules = DiagnosticRules(settings.diagnostics)
         self._rules.check(kb)
         self._report_s = node.clock() + _REPORT_S
@@ -133,11 +133,10 @@ class Bridge:
 
     def _observe(self) -> None:
         """Notice measurements whose stamps are too old; called at each update of the manager."""
-        now = self._now
         for name, stamp in self._stamps.items():
             view = self._kb.attributes[name]
-            if math.isfinite(stamp) and now - stamp > view.max_age and not view.is_stale:
-                self._make_stale(name)
+            if self._now - stamp > view.max_age and not view.is_stale:
+                self._make_stale(view)
         if self._node.clock() >= self._report_s:
             self._report_s = self._node.clock() + _REPORT_S
             self._report_diagnostics()
@@ -154,26 +153,25 @@ class Bridge:
         _log.warning(text, unknown.total(), len(unknown), names, more, advice)
         unknown.clear()
 
-    def _measure(self, name: str, path: list[str], message: Message) -> None:
+    def _measure(self, view: AttributeView, path: list[str], message: Message) -> None:
         value: Any = message
         try:
             for part in path:
                 value = value[int(part)] if isinstance(value, list) else value[part]
             stamp = _stamp(message)
-            now = self._now
-            if stamp is not None and stamp < self._stamps[name] <= now:
+            if stamp < self._stamps[view.name] <= self._now:
                 raise ValueError("a message is older than the one before it")
-            if stamp is not None and now - stamp > self._kb.attributes[name].max_age:
+            if self._now - stamp > view.max_age:
                 raise ValueError("a message is older than max_age; are the clocks the same?")
-            self._kb.measure(name, value)
-            self._stamps[name] = -math.inf if stamp is None else stamp
+            self._kb.measure(view.name, value)
+            self._stamps[view.name] = stamp
             self.heard += 1
-        except (LookupError, TypeError, ValueError, KnowledgeBaseError) as error:
-            self.refused.add(f"{name}: {type(error).__name__}: {error}")
+        except (*NONSENSE, KnowledgeBaseError) as error:
+            self.refused.add(f"{view.name}: {type(error).__name__}: {error}")
 
-    def _make_stale(self, name: str) -> None:
-        if self._kb.attributes[name].value is not None:
-            self._kb.replay(Event(0, self._kb.now, "stale", (name,)))
+    def _make_stale(self, view: AttributeView) -> None:
+        if view.value is not None:
+            self._kb.replay(Event(0, self._kb.now, "stale", (view.name,)))
 
     def _receive(self, message: Message) -> None:
         problems = self._kb.receive(message, rules=self._rules)
@@ -197,13 +195,13 @@ class Bridge:
         if not is_connected:
             self.managed.forget()
             for name in self._stamps:
-                self._make_stale(name)
+                self._make_stale(self._kb.attributes[name])
 
 
 def _statuses(message: Message) -> Iterator[Message]:
     """Yield the statuses of a DiagnosticArray with their values as a dict; skip malformed ones."""
     for status in message.get("status") or ():
-        with suppress(TypeError, LookupError, AttributeError):
+        with suppress(*NONSENSE):
             values = {str(pair["key"]): str(pair["value"]) for pair in status["values"]}
             yield {"message": str(status["message"]), "values": values}
 
@@ -222,9 +220,9 @@ def _seconds(stamp: Message) -> float:
     return float(stamp["sec"]) + float(stamp["nanosec"]) * 1e-9
 
 
-def _stamp(message: Message) -> float | None:
-    """Return the time in a message's header [s]; None if there is none, or it was not set."""
+def _stamp(message: Message) -> float:
+    """Return the time in a message's header [s]; infinity if there is none, or it was not set."""
     header = message.get("header")
     if not isinstance(header, dict) or not isinstance(header.get("stamp"), dict):
-        return None
-    return _seconds(header["stamp"]) or None
+        return math.inf
+    return _seconds(header["stamp"]) or math.inf

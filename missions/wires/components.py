@@ -6,51 +6,48 @@ from collections.abc import Callable, Generator
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Final
 
 from kb import ComponentKind, KnowledgeBase, Status
 from kb.elements import Parameters
 from kb.managed_system import Operation
 from kb.processes import ProcessComponents, ros_node_programs
-from missions.wires.node import Disconnected, Message, Node, RosError, Unanswered
+from missions.wires.node import Disconnected, Message, Node, Reply, RosError, Unanswered
 from missions.wires.services import parameter_messages
 from missions.wires.settings import BridgeSettings
 
-_UNCONFIGURED, _INACTIVE, _ACTIVE, _FINALIZED = 1, 2, 3, 4
-"""States of lifecycle_msgs/State; those from 10 on are transitions."""
-_PASSING: Final = 10
+_UNCONFIGURED, _INACTIVE, _ACTIVE = 1, 2, 3
+"""States of lifecycle_msgs/State that a transition leaves; the others do not wait for one."""
 _CONFIGURE, _ACTIVATE, _DEACTIVATE = 1, 3, 4
 """Transitions of lifecycle_msgs/Transition."""
-Calls = Generator[Future[Message], Message, None]
+Calls = Generator[Reply, Message, None]
 _log = logging.getLogger(__name__)
 
 
 @dataclass(eq=False)
 class _Watch:
-    """A node, and what is known of it.
+    """A lifecycle node, and what is known of it.
 
     Attributes:
         timeout_s: how long a call may take [s].
         state: the last known one; None if there is none.
-        passing: the transition that its events say it is in.
         alive_s: when it was last asked with success [s]; infinity before.
         poll: the open call for its state, one at a time.
         commands: the commands under way, during which it is not polled.
         silence: why a command found that it does not answer.
         is_published: whether somebody publishes its transitions.
+        is_changing: whether one was published since it was asked.
     """
 
     place: str
     timeout_s: float
-    is_process: bool = False
     state: int | None = None
-    passing: int = 0
     alive_s: float = math.inf
     asked_s: float = -math.inf
-    poll: Future[Message] | None = None
+    poll: Reply | None = None
     commands: set[Future[None]] = field(default_factory=set)
     silence: str = ""
     is_published: bool = False
+    is_changing: bool = False
     is_lost: bool = False
 
 
@@ -80,27 +77,22 @@ class RosComponents:
         self._settings = settings
         for name in (*settings.components, *settings.timeouts):
             _ = kb.components[name]
-        programs = ros_node_programs(kb.components.values())
+        self._programs = ros_node_programs(kb.components.values())
         self._processes = ProcessComponents(
             {
                 name: replace(program, configure=partial(self._configure, name))
-                for name, program in programs.items()
+                for name, program in self._programs.items()
             }
         )
         self._watches: dict[str, _Watch] = {}
         for name, view in kb.components.items():
             is_lifecycle = view.kind is ComponentKind.LIFECYCLE or name in settings.components
-            if not is_lifecycle and name not in programs:
-                continue
-            place = settings.components.get(name, name).strip("/")
-            timeout_s = settings.timeouts.get(name, settings.timeout_s)
-            watch = self._watches[name] = _Watch(f"/{place}", timeout_s, name in programs)
-            if not watch.is_process:
-                topic, kind = (
-                    f"{watch.place}/transition_event",
-                    "lifecycle_msgs/msg/TransitionEvent",
+            if is_lifecycle and name not in self._programs:
+                watch = self._watches[name] = _Watch(*self._address(name))
+                topic = f"{watch.place}/transition_event"
+                node.subscribe(
+                    topic, "lifecycle_msgs/msg/TransitionEvent", partial(self._ask, watch)
                 )
-                node.subscribe(topic, kind, partial(self._pass, watch))
 
     def close(self) -> None:
         """End the nodes that were started as processes."""
@@ -109,29 +101,29 @@ class RosComponents:
     # ---------------------------------------------------------------- the managed system
 
     def activate(self, component: str, /) -> Operation | None:
-        if self._is_process(component):
+        if component in self._programs:
             self._processes.activate(component)
             return None
         return self._follow(component, self._switch(component, _ACTIVE))
 
     def deactivate(self, component: str, /) -> Operation | None:
-        if self._is_process(component):
+        if component in self._programs:
             return self._processes.deactivate(component)
         return self._follow(component, self._switch(component, _INACTIVE))
 
     def set_parameters(self, component: str, parameters: Parameters, /) -> Operation | None:
-        if self._is_process(component):
+        if component in self._programs:
             return self._processes.set_parameters(component, parameters)
         return self._configure(component, parameters)
 
     def is_active(self, component: str, /) -> bool | None:
         """Return whether a node is active, as last known; None if nothing is known."""
-        watch = self._watches.get(component)
-        if watch is None:
-            return None
-        if watch.is_process:
+        if component in self._programs:
             return self._processes.is_active(component)
-        return watch.state == _ACTIVE if watch.state is not None or watch.is_lost else None
+        watch = self._watches.get(component)
+        if watch is None or (watch.state is None and not watch.is_lost):
+            return None
+        return watch.state == _ACTIVE
 
     # ---------------------------------------------------------------- watching
 
@@ -155,8 +147,6 @@ class RosComponents:
             return
         now = self._node.clock()
         for component, watch in self._watches.items():
-            if watch.is_process:
-                continue
             watch.alive_s = min(watch.alive_s, now)
             count = self._publishers(watch)
             if watch.is_published and count == 0:
@@ -167,42 +157,46 @@ class RosComponents:
             watch.silence = ""
             if watch.commands:
                 continue
-            poll = watch.poll
-            if poll is not None and poll.done():
+            if watch.poll is not None and watch.poll.done():
+                self._take(component, watch, watch.poll)
                 watch.poll = None
-                self._take(component, watch, poll)
-            if watch.poll is None and now >= watch.asked_s + self._settings.poll_s:
+            is_due = watch.is_changing or now >= watch.asked_s + self._settings.poll_s
+            if watch.poll is None and is_due:
+                watch.is_changing = False
                 watch.asked_s = now
                 watch.poll = self._state_call(watch)
 
     def _publishers(self, watch: _Watch) -> int | None:
         return self._node.publishers(f"{watch.place}/transition_event")
 
-    def _state_call(self, watch: _Watch) -> "Future[Message]":
+    def _ask(self, watch: _Watch, _: Message) -> None:
+        """Ask for the state at once, as a transition is going on; its events may come late."""
+        watch.is_changing = True
+
+    def _state_call(self, watch: _Watch) -> Reply:
         """Ask a node for its state; it is overdue when the node has been silent for too long."""
         left_s = watch.alive_s + self._settings.notice_s - self._node.clock()
         timeout_s = self._settings.notice_s if watch.is_lost else max(left_s, self._settings.poll_s)
         kind = "lifecycle_msgs/srv/GetState"
         return self._node.call(f"{watch.place}/get_state", kind, {}, timeout_s)
 
-    def _take(self, component: str, watch: _Watch, poll: "Future[Message]") -> None:
-        error = poll.exception()
-        if isinstance(error, Disconnected):
+    def _take(self, component: str, watch: _Watch, poll: Reply) -> None:
+        if isinstance(poll.exception(), Disconnected):
             return
         try:
             state = _state_of(watch, poll.result())
-        except RosError as problem:
+        except RosError as error:
             if not watch.is_lost:
-                self._lose(component, watch, str(problem))
+                self._lose(component, watch, str(error))
             return
-        before = watch.state
+        was_active = watch.state == _ACTIVE
         watch.state = state
         watch.alive_s = watch.asked_s
         if watch.is_lost:
             watch.is_lost = False
             if self._settings.restarted == "recover":
                 self._kb.component_recovered(component)
-        elif before == _ACTIVE and state == _UNCONFIGURED:
+        elif was_active and state == _UNCONFIGURED:
             reason = f"{watch.place} was restarted, it is unconfigured"
             self._kb.component_active(component, False, reason)
             if self._settings.restarted == "fail":
@@ -218,103 +212,89 @@ class RosComponents:
         if self._kb.components[component].status is not Status.FAILURE:
             self._kb.component_failed(component, reason)
 
-    def _pass(self, watch: _Watch, message: Message) -> None:
-        """Take in a transition that somebody else made; those of our own commands may come late."""
-        start, goal = int(message["start_state"]["id"]), int(message["goal_state"]["id"])
-        if goal >= _PASSING:
-            watch.passing = goal if start == watch.state else 0
-        elif start == watch.passing or watch.state is None:
-            watch.passing = 0
-            if not watch.commands and not watch.is_lost:
-                watch.state = goal
-
     # ---------------------------------------------------------------- commands
 
-    def _look(self, watch: _Watch) -> Calls:
+    def _switch(self, component: str, goal: int) -> Calls:
+        """Send the transitions to a state; one that is not allowed may end a node."""
+        watch = self._watches[component]
         asked_s = self._node.clock()
         try:
             answer = yield self._state_call(watch)
         except Unanswered as error:
             watch.silence = str(error)
             raise
-        watch.state = _state_of(watch, answer)
+        state = watch.state = _state_of(watch, answer)
         watch.alive_s = asked_s
-
-    def _switch(self, component: str, goal: int) -> Calls:
-        """Send the transitions to a state; one that is not allowed may end a node."""
-        watch = self._watches[component]
-        yield from self._look(watch)
-        if watch.state == _FINALIZED or (watch.state or 0) >= _PASSING:
-            raise RosError(
-                f"{watch.place} is in state {watch.state}, which no transition leaves now"
-            )
-        if watch.state == _UNCONFIGURED:
-            if goal == _INACTIVE:
-                return
+        if state not in (_UNCONFIGURED, _INACTIVE, _ACTIVE):
+            raise RosError(f"{watch.place} is in state {state}, which no transition leaves now")
+        if state == goal or (state == _UNCONFIGURED and goal == _INACTIVE):
+            return
+        if state == _UNCONFIGURED:
             yield from self._change(watch, _CONFIGURE, _INACTIVE)
-        if watch.state != goal:
-            yield from self._change(watch, _ACTIVATE if goal == _ACTIVE else _DEACTIVATE, goal)
+        yield from self._change(watch, _ACTIVATE if goal == _ACTIVE else _DEACTIVATE, goal)
 
     def _change(self, watch: _Watch, transition: int, goal: int) -> Calls:
+        service, kind = f"{watch.place}/change_state", "lifecycle_msgs/srv/ChangeState"
         request = {"transition": {"id": transition, "label": ""}}
-        answer = yield self._call(watch, "change_state", "lifecycle_msgs/srv/ChangeState", request)
+        answer = yield self._node.call(service, kind, request, watch.timeout_s)
         if not answer.get("success"):
-            problem = f"refuses the transition {transition} from {watch.state}"
-            raise RosError(f"{watch.place} {problem}")
+            refused = f"refuses the transition {transition} from {watch.state}"
+            raise RosError(f"{watch.place} {refused}")
         watch.state = goal
 
     def _configure(self, component: str, parameters: Parameters) -> "Future[None]":
         return self._follow(component, self._set(component, parameters))
 
-    def _is_process(self, component: str) -> bool:
-        return component in self._watches and self._watches[component].is_process
-
     def _set(self, component: str, parameters: Parameters) -> Calls:
-        watch = self._watches[component]
-        request = {"parameters": parameter_messages(parameters)}
+        place, timeout_s = self._address(component)
+        service = f"{place}/set_parameters_atomically"
         kind = "rcl_interfaces/srv/SetParametersAtomically"
-        answer = yield self._call(watch, "set_parameters_atomically", kind, request)
+        request = {"parameters": parameter_messages(parameters)}
+        answer = yield self._node.call(service, kind, request, timeout_s)
         result = answer.get("result") or {}
         if not result.get("successful"):
             reason = result.get("reason") or "without a reason"
-            raise RosError(f"{watch.place} refuses the parameters: {reason}")
+            raise RosError(f"{place} refuses the parameters: {reason}")
 
-    def _call(self, watch: _Watch, name: str, kind: str, request: Message) -> "Future[Message]":
-        return self._node.call(f"{watch.place}/{name}", kind, request, watch.timeout_s)
+    def _address(self, component: str) -> tuple[str, float]:
+        """Return the name of a component's node, and how long a call of it may take [s]."""
+        place = self._settings.components.get(component, component).strip("/")
+        timeout_s = self._settings.timeouts.get(component, self._settings.timeout_s)
+        return f"/{place}", timeout_s
 
     def _follow(self, component: str, calls: Calls) -> "Future[None]":
         """Make calls one after the other, each when the last is answered; cancelling stops them."""
         command: Future[None] = Future()
 
-        def advance(answered: "Future[Message] | None" = None) -> None:
+        def advance(answered: Reply | None = None) -> None:
             if command.cancelled():
                 return
             try:
-                error = None if answered is None else answered.exception()
-                if error is not None:
-                    following = calls.throw(error)
-                elif answered is None:
-                    following = next(calls)
+                if answered is None:
+                    call = next(calls)
+                elif (error := answered.exception()) is not None:
+                    call = calls.throw(error)
                 else:
-                    following = calls.send(answered.result())
+                    call = calls.send(answered.result())
             except StopIteration:
                 command.set_result(None)
-            except Exception as failure:  # the command ends with this error
-                command.set_exception(failure)
+            except Exception as error:  # the command ends with this error
+                command.set_exception(error)
             else:
-                following.add_done_callback(advance)
+                call.add_done_callback(advance)
 
         watch = self._watches.get(component)
-        if watch is None:
-            names = ", ".join(self._watches) or "none"
+        if watch is None and component not in self._programs:
+            names = ", ".join([*self._watches, *self._programs]) or "none"
             problem = f"there is no node for {component!r}, only for {names}"
             command.set_exception(RosError(f"{problem}: name its node under components"))
-        elif watch.is_lost:
+        elif watch is not None and watch.is_lost:
             command.set_exception(RosError(f"{watch.place} does not answer"))
         else:
-            watch.poll = None  # its answer may be older than what the command does
-            watch.commands.add(command)
-            command.add_done_callback(watch.commands.discard)
+            if watch is not None:
+                watch.poll = None  # its answer may be older than what the command does
+                watch.commands.add(command)
+                command.add_done_callback(watch.commands.discard)
             advance()
         return command
 

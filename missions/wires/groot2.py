@@ -13,7 +13,7 @@ runs (breakpoints, replaced nodes) are refused. So are recordings of transitions
 
 import struct
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 from uuid import uuid4
 
@@ -27,22 +27,18 @@ from missions.engine.mission import MissionError, needs
 from rosa_bt.xml import NumberedTree
 
 PORT: Final = 1667
+_PROTOCOL: Final = 2
 _HEAD: Final = struct.Struct("<BBI")
 """The head of a request: protocol, letter of its kind, number."""
-_PROTOCOL: Final = 2
 _STATUS: Final = struct.Struct("<HB")
 _LARGEST_REQUEST: Final = 2**16
 _IDLE, _SKIPPED, _WAS = 0, 4, 10
 """The code of an idle node is 10 + the status that it had before, or 0 if it never had one."""
-_CODES: Final = {Status.INVALID: _IDLE, Status.RUNNING: 1, Status.SUCCESS: 2, Status.FAILURE: 3}
+_CODES: Final = {Status.RUNNING: 1, Status.SUCCESS: 2, Status.FAILURE: 3}
 _LOOK_MS: Final = 100
-_NO_RECORD: Final = (
-    "transitions are not recorded here: `rosa run --record FILE.mcap` and `--report` do it"
-)
-_NO_HOOKS: Final = (
-    "breakpoints and replaced nodes are not accepted: a robot does what its own program says"
-)
-_NOT_SERVED: Final = {**dict.fromkeys("IRUAX", _NO_HOOKS), **dict.fromkeys("rt", _NO_RECORD)}
+_NO_HOOKS: Final = "breakpoints and replaced nodes are not accepted here"
+_NO_RECORD: Final = "transitions are not recorded here: `rosa run --record FILE.mcap` does it"
+_REFUSED: Final = {**dict.fromkeys("IRUAX", _NO_HOOKS), **dict.fromkeys("rt", _NO_RECORD)}
 
 
 class _Present(NamedTuple):
@@ -52,11 +48,6 @@ class _Present(NamedTuple):
     identity: bytes
     """A new one for each tree, so that a client asks for the tree again."""
     codes: Mapping[Behaviour, int]
-
-    def statuses(self) -> bytes:
-        return b"".join(
-            _STATUS.pack(number, self.codes[node]) for node, number in self.tree.numbers.items()
-        )
 
 
 class Groot2Publisher(VisitorBase):
@@ -78,21 +69,22 @@ class Groot2Publisher(VisitorBase):
         with needs("groot2", "Groot2's wire"):
             import msgpack
             import zmq
+        self._pack = msgpack.packb
         self._tree = tree
         self._visited: set[Behaviour] = set()
-        self._present = self._seen(None)
-        self._packed = msgpack.packb
+        self._present = self._new_present()
         self._context = zmq.Context()
         self._context.setsockopt(zmq.LINGER, 0)
         try:
-            self._socket = self._bound(zmq.REP, port)
-            self._notices = self._bound(zmq.PUB, port + 1)
+            self._socket = self._context.socket(zmq.REP)
+            self._socket.setsockopt(zmq.MAXMSGSIZE, _LARGEST_REQUEST)
+            self._socket.bind(f"tcp://127.0.0.1:{port}")
+            self._notices = self._context.socket(zmq.PUB)
+            self._notices.bind(f"tcp://127.0.0.1:{port + 1}")
         except zmq.ZMQError as error:
             self._context.destroy()
-            taken = (
-                f"Groot2's wire needs the TCP ports {port} and {port + 1} of this machine: {error}"
-            )
-            raise MissionError(f"{taken}; give another port") from None
+            ports = f"needs the TCP ports {port} and {port + 1} of this machine"
+            raise MissionError(f"Groot2's wire {ports}: {error}; give another port") from None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="groot2", daemon=True)
         self._thread.start()
@@ -114,84 +106,67 @@ class Groot2Publisher(VisitorBase):
 
     def finalise(self) -> None:
         """Write down the status of each node after a tick."""
-        self._present = self._seen(self._present)
-
-    def _seen(self, before: _Present | None) -> _Present:
-        if before is None or not before.tree.shows(self._tree.root):
-            tree = NumberedTree(self._tree.root)
-            before = _Present(tree, uuid4().bytes, dict.fromkeys(tree.numbers, _IDLE))
+        before = self._present
+        if not before.tree.shows(self._tree.root):
+            before = self._new_present()
         codes = {node: self._code(node, code) for node, code in before.codes.items()}
-        return _Present(before.tree, before.identity, codes)
+        self._present = before._replace(codes=codes)
+
+    def _new_present(self) -> _Present:
+        tree = NumberedTree(self._tree.root)
+        codes = {node: _CODES.get(node.status, _IDLE) for node in tree.numbers}
+        return _Present(tree, uuid4().bytes, codes)
 
     def _code(self, node: Behaviour, before: int) -> int:
-        if node.status is not Status.INVALID:
+        if node.status in _CODES:
             return _CODES[node.status]
         if node in self._visited:
             return _SKIPPED
         return before if before == _IDLE or before > _WAS else _WAS + before
 
-    def _bound(self, kind: int, port: int) -> Any:  # noqa: ANN401  # zmq is imported late
-        import zmq
-
-        socket = self._context.socket(kind)
-        socket.setsockopt(zmq.MAXMSGSIZE, _LARGEST_REQUEST)
-        socket.bind(f"tcp://127.0.0.1:{port}")
-        return socket
-
     def _serve(self) -> None:
         while not self._closing.is_set():
             if self._socket.poll(_LOOK_MS):
-                frames = self._socket.recv_multipart()
+                head, *more = self._socket.recv_multipart()
                 try:
-                    answer = self._answer(frames)
-                except (
-                    Exception
-                ) as error:  # e.g. a value on a blackboard that has no text; the next is answered
-                    answer = _refusal(f"that cannot be shown: {type(error).__name__}: {error}")
-                self._socket.send_multipart(answer)
+                    frames = self._answer(head, b"".join(more[:1]), self._present)
+                except Exception as error:  # e.g. a value on a blackboard that has no text
+                    reason = f"that cannot be shown: {type(error).__name__}: {error}"
+                    frames = [b"error", reason.encode(errors="replace")]
+                self._socket.send_multipart(frames)
         self._context.destroy()
 
-    def _answer(self, frames: Sequence[bytes]) -> list[bytes]:
-        head, argument = frames[0], b"".join(frames[1:2])
-        if len(head) != _HEAD.size or head[0] != _PROTOCOL:
-            return _refusal(
-                f"a request begins with 6 bytes: {_PROTOCOL}, a letter and a number of 4 bytes"
-            )
-        kind, present = chr(head[1]), self._present
-        served: Mapping[str, Callable[[], bytes]] = {
-            "T": present.tree.xml.encode,
-            "S": present.statuses,
-            "B": lambda: self._packed(
-                self._boards(present.tree, argument.decode(errors="replace").split(";"))
-            ),
-            "D": lambda: b"[]",
-        }
-        if kind not in served:
-            return _refusal(
-                _NOT_SERVED.get(kind, f"unknown request {kind!r}; served are {' '.join(served)}")
-            )
-        return [head + present.identity, served[kind]()]
-
-    def _boards(self, tree: NumberedTree, names: Sequence[str]) -> Mapping[str, Mapping[str, Any]]:
-        chosen = [name for name in names if name in tree.subtrees] or list(tree.subtrees)
-        return {
-            name: _values(None if (one := tree.subtrees[name]) is None else one.blackboard)
-            for name in chosen
-        }
+    def _answer(self, head: bytes, argument: bytes, present: _Present) -> list[bytes]:
+        kind = chr(head[1]) if len(head) == _HEAD.size and head[0] == _PROTOCOL else ""
+        if kind == "T":
+            answer = present.tree.xml.encode()
+        elif kind == "S":
+            numbers = present.tree.numbers.items()
+            answer = b"".join(_STATUS.pack(number, present.codes[node]) for node, number in numbers)
+        elif kind == "B":
+            answer = self._pack(_boards(present.tree, argument.decode(errors="replace").split(";")))
+        elif kind == "D":
+            answer = b"[]"
+        else:
+            wrong = f"a request begins with 6 bytes: {_PROTOCOL}, a letter and a number of 4 bytes"
+            unknown = f"unknown request {kind!r}; served are T S B D" if kind else wrong
+            return [b"error", _REFUSED.get(kind, unknown).encode()]
+        return [head + present.identity, answer]
 
 
-def _values(subtree: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return a blackboard's entries, others than numbers as text; a tick may write meanwhile."""
-    board = Blackboard.storage if subtree is None else subtree
-    return {
-        key.lstrip("/"): one if _is_plain(one) else repr(one) for key, one in list(board.items())
-    }
+def _boards(tree: NumberedTree, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return the entries of blackboards by the names of these, of all if none is known."""
+    chosen = [name for name in names if name in tree.subtrees] or list(tree.subtrees)
+    boards = {}
+    for name in chosen:
+        subtree = tree.subtrees[name]
+        board = Blackboard.storage if subtree is None else subtree.blackboard
+        entries = list(board.items())  # a tick may write meanwhile
+        boards[name] = {key.lstrip("/"): _shown(value) for key, value in entries}
+    return boards
 
 
-def _is_plain(value: object) -> bool:
-    """Return whether the wire can hold a value as it is; it has integers of 64 bits."""
-    return isinstance(value, float | str) or (isinstance(value, int) and value.bit_length() < 64)
-
-
-def _refusal(why: str) -> list[bytes]:
-    return [b"error", why.encode(errors="replace")]
+def _shown(value: object) -> object:
+    """Return a value as the wire can hold it, with integers of 64 bits, or as text."""
+    is_plain = isinstance(value, int) and value.bit_length() < 64
+    return value if is_plain or isinstance(value, float | str) else repr(value)

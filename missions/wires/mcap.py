@@ -5,12 +5,13 @@ All messages are ROS 2's own; docs/recordings.md lists the topics.
 
 import json
 import logging
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import inf
+from operator import itemgetter
 from os.path import exists, isdir
 from pathlib import Path
 from queue import SimpleQueue
@@ -30,12 +31,8 @@ from missions.wires import ros
 from missions.wires.node import Refusals
 from rosa_bt.xml import NumberedTree
 
-DIAGNOSTICS, TREE, TREE_LOG, LOG = (
-    "/diagnostics",
-    "/behavior_tree",
-    "/behavior_tree_log",
-    "/rosa/log",
-)
+DIAGNOSTICS: Final = "/diagnostics"
+LOG: Final = "/rosa/log"
 EVENTS, RUN, ROWS = "/rosa/events", "/rosa/run", "/rosa/rows"
 """Our own topics: the log's events, how the mission was run, a report's other rows."""
 VERSION: Final = 1
@@ -48,14 +45,13 @@ _COMMANDS: Final = {
 """The command to a component, by the operation of an attempt."""
 _LARGEST_RECORD: Final = 2**30
 """The largest record of an MCAP file [bytes]."""
-CHUNK_BYTES: Final = 2**16
+_CHUNK_BYTES: Final = 2**16
 WAITING: Final = 100_000
 """How many messages may wait to be written; with more, the recording ends."""
 PATIENCE_S: Final = 10.0
 """How long one message may take to be written when a file is closed [s]."""
 _LOGGED: Final = (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)
 """The kinds of events that are on `/rosa/log`, besides failures of components."""
-_NAMES: Final = {Status.INVALID: "IDLE"}
 _log = logging.getLogger(__name__)
 
 
@@ -75,17 +71,18 @@ class _Records:
     def __init__(self, file: BinaryIO, *, use_chunking: bool) -> None:
         from mcap.writer import Writer
 
-        self._channels, self._schemas = dict[str, int](), dict[str, int]()
-        self._writer: Any = Writer(file, chunk_size=CHUNK_BYTES, use_chunking=use_chunking)
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._writer: Any = Writer(file, chunk_size=_CHUNK_BYTES, use_chunking=use_chunking)
         self._writer.start(profile="ros2", library="rosa-taca")
         self.finish: Callable[[], object] = self._writer.finish
 
-    def add(self, one: Raw) -> None:
-        topic, kind, definition, stamp, data = one
+    def add(self, message: Raw) -> None:
+        topic, kind, definition, stamp, data = message
+        if kind not in self._schemas:
+            text = definition or ros.types().definition(kind)
+            self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
         if topic not in self._channels:
-            if kind not in self._schemas:
-                text = definition or ros.types().definition(kind)
-                self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
             self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[kind])
         self._writer.add_message(self._channels[topic], stamp, data, stamp)
 
@@ -94,12 +91,12 @@ def write_in_chunks(path: Path, recorded: Iterable[Raw]) -> None:
     """Write messages to an MCAP file in compressed chunks, with an index."""
     with path.open("wb") as file:
         records = _Records(file, use_chunking=True)
-        for one in recorded:
-            records.add(one)
+        for message in recorded:
+            records.add(message)
         records.finish()
 
 
-class McapFile(AbstractContextManager["McapFile"]):
+class McapFile:
     """An MCAP file that grows with each message; if it is cut off, it can be read up to there.
 
     `close` rewrites it in chunks with an index. A thread of its own encodes and writes, so a disk
@@ -148,9 +145,8 @@ class McapFile(AbstractContextManager["McapFile"]):
         if self.waiting < self.most:
             self._queue.put(partial(self._write, topic, kind, time_s, partial(make, *arguments)))
         elif self._error is None:
-            self._give_up(
-                OSError(f"the disk does not keep up, {self.waiting} messages wait to be written")
-            )
+            waiting = f"{self.waiting} messages wait to be written"
+            self._give_up(OSError(f"the disk does not keep up, {waiting}"))
 
     @property
     def waiting(self) -> int:
@@ -164,16 +160,15 @@ class McapFile(AbstractContextManager["McapFile"]):
             MissionError: a message could not be written; the file holds those before it.
         """
         self._queue.put(None)
-        while self._thread.is_alive():
+        waiting = -1
+        while self._thread.is_alive() and self.waiting != waiting:
             waiting = self.waiting
             self._thread.join(PATIENCE_S)
-            if self._thread.is_alive() and self.waiting == waiting:
-                raise self._unwritten(
-                    self._error or OSError(f"the disk does not answer, {waiting} messages wait")
-                )
-        if self._file.closed:
-            return
         try:
+            if self._thread.is_alive():
+                raise self._error or OSError(f"the disk does not answer, {waiting} messages wait")
+            if self._file.closed:
+                return
             with self._file:
                 if self._error is not None:
                     raise self._error
@@ -186,20 +181,19 @@ class McapFile(AbstractContextManager["McapFile"]):
 
     def _write_all(self) -> None:
         for write in iter(self._queue.get, None):
-            write()
+            if self._error is None:
+                write()
 
     def _write(
         self, topic: str, kind: str, time_s: float, make: Callable[[], dict[str, Any]]
     ) -> None:
-        if self._error is not None:
-            return
         try:
-            one = Raw(topic, kind, "", ros.nanoseconds(time_s), ros.types().encode(kind, make()))
+            data = ros.types().encode(kind, make())
         except Exception as error:  # what was malformed is left out, all others are written
             self.refused.add(f"{topic}: {type(error).__name__}: {error}")
             return
         try:
-            self._records.add(one)
+            self._records.add(Raw(topic, kind, "", ros.nanoseconds(time_s), data))
             if self._queue.empty():
                 self._file.flush()
         except Exception as error:  # the mission goes on
@@ -211,12 +205,8 @@ class McapFile(AbstractContextManager["McapFile"]):
         _log.warning("%s is recorded no further: %s", self.path, error)
 
     def _unwritten(self, error: Exception) -> MissionError:
-        return MissionError(
-            f"cannot write {self.path}: {getattr(error, 'strerror', None) or error}"
-        )
-
-    def __exit__(self, *reason: object) -> None:
-        self.close()
+        reason = getattr(error, "strerror", None) or error
+        return MissionError(f"cannot write {self.path}: {reason}")
 
 
 class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
@@ -250,30 +240,29 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         page: Recorder | None = None,
         run: Mapping[str, object] | None = None,
     ) -> None:
-        self._file, self._kb, self._open = McapFile(path), kb, ExitStack()
+        self._file = McapFile(path)
         self.refused = self._file.refused
-        self._numbered: NumberedTree | None = None
+        self._write = self._file.write
+        self._kb = kb
+        self._tree: NumberedTree | None = None
         self._statuses: dict[int, str] = {}
+        self._open = ExitStack()
         self._open.callback(self._file.close)
         shown = page or Recorder(kb, tree, what_if=False)
-        self._open.callback(shown.rows.heard.remove, self._row)
         if page is None:
             self._open.callback(shown.close)
-        header = {
-            "rosa": VERSION,
-            "model": kb.model.name,
-            "elements": kb.model.plain(),
-            **(run or {}),
-        }
+        header = {"rosa": VERSION, "model": kb.model.name, "elements": kb.model.plain()}
+        header |= {"page": shown.header, **(run or {})}
         self._file.most = inf  # all that is known already is recorded, however long that takes
-        self._file.write(RUN, ros.STRING, kb.now, ros.json_text, {**header, "page": shown.header})
+        self._write(RUN, ros.STRING, kb.now, ros.json_text, header)
         for event in kb.log:
             self._event(event)
         for row in shown.rows.since(0)[1]:
             self._row(row)
         self._file.most = self._file.waiting + WAITING
         self._open.callback(kb.subscribe(self._event))
-        shown.rows.heard.append(self._row)
+        shown.rows.listeners.append(self._row)
+        self._open.callback(shown.rows.listeners.remove, self._row)
         if tree is not None:
             tree.add_post_tick_handler(self._tick)
             self._open.callback(tree.post_tick_handlers.remove, self._tick)
@@ -283,7 +272,7 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         time_s = self._kb.now
         if isinstance(message, Mapping) and "time" in message:
             time_s = float(message["time"])
-        self._file.write(DIAGNOSTICS, ros.DIAGNOSTICS, time_s, ros.diagnostics, time_s, message)
+        self._write(DIAGNOSTICS, ros.DIAGNOSTICS, time_s, ros.diagnostics, time_s, message)
 
     def close(self) -> None:
         """Stop recording, and complete the file.
@@ -297,43 +286,38 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         self.close()
 
     def _event(self, event: Event) -> None:
-        write = self._file.write
-        write(EVENTS, ros.STRING, event.time, ros.json_text, event.to_json())
+        self._write(EVENTS, ros.STRING, event.time, ros.json_text, event.to_json())
         if event.verb == "measure":
-            write(
-                f"/attributes/{event.subject}",
-                ros.FLOAT,
-                event.time,
-                lambda: {"data": float(event.arguments[1])},
+            value = float(event.arguments[1])
+            self._write(
+                f"/attributes/{event.subject}", ros.FLOAT, event.time, dict, {"data": value}
             )
         elif event.kind in _LOGGED or event.verb == "component_failed":
-            write(LOG, ros.LOG, event.time, ros.log_of, event)
+            self._write(LOG, ros.LOG, event.time, ros.log_of, event)
 
     def _row(self, row: Row) -> None:
         time_s, track, _, value = row
         if track not in VERBATIM:
             return
-        self._file.write(ROWS, ros.STRING, time_s, ros.json_text, row)
+        self._write(ROWS, ros.STRING, time_s, ros.json_text, row)
         if track == "pose":
-            self._file.write("/pose", ros.POSE, time_s, ros.pose, time_s, value)
-            self._file.write("/tf", ros.TF, time_s, ros.transform, time_s, value)
+            self._write("/pose", ros.POSE, time_s, ros.pose, time_s, value)
 
     def _tick(self, tree: BehaviourTree) -> None:
         now = float(self._kb.now)
-        if self._numbered is None or not self._numbered.shows(tree.root):
-            self._numbered, self._statuses = NumberedTree(tree.root), {}
-            self._file.write(TREE, ros.STRING, now, dict, {"data": self._numbered.xml})
+        if self._tree is None or not self._tree.shows(tree.root):
+            self._tree = NumberedTree(tree.root)
+            self._statuses = dict.fromkeys(self._tree.numbers.values(), "IDLE")
+            self._write("/behavior_tree", ros.STRING, now, dict, {"data": self._tree.xml})
         changes = []
-        for node, uid in self._numbered.numbers.items():
-            before, status = (
-                self._statuses.get(uid, "IDLE"),
-                _NAMES.get(node.status, node.status.name),
-            )
+        for node, number in self._tree.numbers.items():
+            before = self._statuses[number]
+            status = "IDLE" if node.status is Status.INVALID else node.status.name
             if status != before:
-                changes.append((node.name, uid, before, status))
-                self._statuses[uid] = status
+                changes.append((node.name, number, before, status))
+                self._statuses[number] = status
         if changes:
-            self._file.write(TREE_LOG, ros.TREE_LOG, now, ros.tree_log, now, changes)
+            self._write("/behavior_tree_log", ros.TREE_LOG, now, ros.tree_log, now, changes)
 
 
 @dataclass(slots=True)
@@ -361,26 +345,22 @@ class Bag:
 
     def header(self) -> Message:
         """Return a replay's first message: how the robot was run, and its commands."""
-        return {
-            "time": 0.0,
-            "status": [],
-            **({"run": {**self.run, "commands": self._commands()}} if self.run else {}),
-        }
+        about = {"run": {**self.run, "commands": self._commands()}} if self.run else {}
+        return {"time": 0.0, "status": [], **about}
 
     def _commands(self) -> list[tuple[str, str, float, bool]]:
         """Return the commands: command, component, duration [s], and whether it succeeded."""
-        given = [one for one in self.events if one.verb == "record_attempt"]
-        ended = {one.arguments[0]: one for one in self.events if one.verb == "finish_attempt"}
-        return [
-            (
-                _COMMANDS[one.arguments[2]],
-                one.arguments[1],
-                end.time - one.time,
-                end.arguments[1] == "completed",
-            )
-            for number, one in enumerate(given, start=1)
-            if (end := ended.get(number)) is not None
-        ]
+        commands = []
+        attempts = [event for event in self.events if event.verb == "record_attempt"]
+        for event in self.events:
+            if event.verb == "finish_attempt":
+                number, result, *_ = event.arguments
+                attempt = attempts[number - 1]
+                _, component, operation, *_ = attempt.arguments
+                duration_s = event.time - attempt.time
+                command = _COMMANDS[operation]
+                commands.append((number, (command, component, duration_s, result == "completed")))
+        return [command for _, command in sorted(commands)]
 
 
 def is_bag(path: str | Path) -> bool:
@@ -394,37 +374,49 @@ def read_bag(path: str | Path) -> Bag:
     Raises:
         MissionError: it does not exist, nothing of it can be read, or the extra `mcap` is missing.
     """
-    bag, counts, exact = Bag(), Counter[tuple[str, str]](), dict[int, float]()
-    found: list[tuple[int, list[dict[str, Any]]]] = []
+    bag = Bag()
+    counts = Counter[tuple[str, str]]()
+    diagnostics: list[tuple[int, list[dict[str, Any]]]] = []
+    exact: dict[int, float] = {}  # times before they were rounded to nanoseconds
     for raw in messages(path, bag):
         counts[raw.topic, raw.kind] += 1
         try:
             if raw.kind == ros.DIAGNOSTICS:
-                found.append((raw.stamp, ros.statuses_of(raw.data)))
-            elif raw.topic == EVENTS:
-                event = Event.from_json(_json_of(raw))
-                bag.events.append(event)
-                exact[raw.stamp] = event.time
-            elif raw.topic == ROWS:
-                row = _json_of(raw)
-                bag.rows.append((bag.events[-1].number if bag.events else 0, row))
-                exact.setdefault(raw.stamp, row[0])
-            elif raw.topic == RUN:
-                bag.run = _run_of(_json_of(raw), path)
+                diagnostics.append((raw.stamp, ros.statuses_of(raw.data)))
+            elif raw.topic in (EVENTS, ROWS, RUN):
+                content = json.loads(ros.types().decode(ros.STRING, raw.data)["data"])
+                time_s = _add(bag, raw.topic, content, path)
+                exact.setdefault(raw.stamp, time_s)
         except MissionError:
             raise
         except Exception as error:  # a malformed or damaged message may raise anything
             bag.problems[f"{raw.topic}: {type(error).__name__}: {error}"] += 1
     bag.topics = {topic: (kind, number) for (topic, kind), number in counts.items()}
-    found.sort(key=lambda one: one[0])
-    start = 0 if bag.run or not found else found[0][0]
-    for stamp, statuses in found:  # events hold the time before it was rounded to nanoseconds
+    diagnostics.sort(key=itemgetter(0))
+    start = 0 if bag.run or not diagnostics else diagnostics[0][0]
+    for stamp, statuses in diagnostics:
         bag.messages.append({"time": exact.get(stamp, (stamp - start) / 1e9), "status": statuses})
     return bag
 
 
-def _json_of(raw: Raw) -> Any:  # noqa: ANN401  # whatever JSON holds
-    return json.loads(ros.types().decode(ros.STRING, raw.data).data)
+def _add(bag: Bag, topic: str, content: Any, path: str | Path) -> float:  # noqa: ANN401  # of JSON
+    """Add a message of one of our own topics, and return its time [s]."""
+    if topic == EVENTS:
+        event = Event.from_json(content)
+        bag.events.append(event)
+        return event.time
+    if topic == ROWS:
+        bag.rows.append((bag.events[-1].number if bag.events else 0, content))
+        return float(content[0])
+    version = content.get("rosa") if isinstance(content, dict) else content
+    if version != VERSION:
+        reads = f"this program reads version {VERSION}"
+        raise MissionError(f"{path} is a recording of version {version!r}; {reads}")
+    missing = sorted({"model", "elements", "page"} - content.keys())
+    if missing:
+        raise MissionError(f"{path} is damaged: its header lacks {', '.join(missing)}")
+    bag.run = content
+    return 0.0
 
 
 def read_page(path: str | Path) -> Recorded:
@@ -436,27 +428,23 @@ def read_page(path: str | Path) -> Recorded:
     """
     bag = read_bag(path)
     if not bag.run:
-        raise MissionError(
-            f"{path} is not rosa's own; "
-            f"rosa replay {path} --mission NAME --report FILE.html shows it"
-        )
+        advice = f"rosa replay {path} --mission NAME --report FILE.html shows it"
+        raise MissionError(f"{path} is not rosa's own; {advice}")
     now = [0.0]
     kb = KnowledgeBase(recorded_model(bag), clock=lambda: now[0])
-    recorder, rows = Recorder(kb, header=bag.run["page"]), iter(bag.rows)
-    row = next(rows, None)
+    recorder = Recorder(kb, header=bag.run["page"])
+    rows = deque(bag.rows)
     for event in [*bag.events, None]:
-        while row is not None and (event is None or row[0] < event.number):
-            now[0] = max(now[0], row[1][0])
-            time, track, key, value = row[1]
-            recorder.put(track, key, value, time)
-            row = next(rows, None)
+        while rows and (event is None or rows[0][0] < event.number):
+            _, (time_s, track, key, value) = rows.popleft()
+            now[0] = max(now[0], time_s)
+            recorder.put(track, key, value, time_s)
         if event is not None and event.number > kb.log.last:
             now[0] = max(now[0], event.time)
             kb.replay(event)
     recorder.close()
-    return replace(
-        recorder.recorded, note=f"{bag.cut}; all before that is shown" if bag.cut else ""
-    )
+    note = f"{bag.cut}; all before that is shown" if bag.cut else ""
+    return replace(recorder.recorded, note=note)
 
 
 def recorded_model(bag: Bag) -> Model:
@@ -464,18 +452,7 @@ def recorded_model(bag: Bag) -> Model:
     return Model.from_plain(bag.run["elements"])
 
 
-def _run_of(run: object, place: str | Path) -> dict[str, Any]:
-    if not isinstance(run, dict) or run.get("rosa") != VERSION:
-        version = run.get("rosa") if isinstance(run, Mapping) else run
-        raise MissionError(
-            f"{place} is a recording of version {version!r}; this program reads version {VERSION}"
-        )
-    if missing := {"model", "elements", "page"} - run.keys():
-        raise MissionError(f"{place} is damaged: its header lacks {', '.join(sorted(missing))}")
-    return run
-
-
-def mcap_messages(place: Path, problems: Counter[str]) -> Iterator[Raw]:
+def mcap_messages(path: Path, problems: Counter[str]) -> Iterator[Raw]:
     """Yield the messages of an MCAP file from its first byte on, without the index.
 
     Counts problems after which it can go on; raises what the library and its compression raise.
@@ -485,20 +462,27 @@ def mcap_messages(place: Path, problems: Counter[str]) -> Iterator[Raw]:
 
     schemas: dict[int, tuple[str, str]] = {}
     channels: dict[int, tuple[str, str, str]] = {}
-    with place.open("rb") as file:
-        for record in StreamReader(
-            file, validate_crcs=True, record_size_limit=_LARGEST_RECORD
-        ).records:
+    with path.open("rb") as file:
+        reader = StreamReader(file, validate_crcs=True, record_size_limit=_LARGEST_RECORD)
+        for record in reader.records:
             if isinstance(record, records.Schema):
                 schemas[record.id] = record.name, record.data.decode()
             elif isinstance(record, records.Channel):
                 channels[record.id] = (record.topic, *schemas.get(record.schema_id, ("", "")))
-                if record.message_encoding != "cdr":
-                    problems[
-                        f"{record.topic} is encoded as {record.message_encoding}, not as cdr"
-                    ] += 1
+                encoding = record.message_encoding
+                if encoding != "cdr":
+                    problems[f"{record.topic} is encoded as {encoding}, not as cdr"] += 1
             elif isinstance(record, records.Message):
                 yield Raw(*channels[record.channel_id], record.log_time, record.data)
+
+
+def _rosbag2(path: Path) -> Iterator[Raw]:
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([path], default_typestore=ros.types().store) as reader:
+        for connection, stamp, data in reader.messages():
+            definition = connection.msgdef.data
+            yield Raw(connection.topic, connection.msgtype, definition, stamp, data)
 
 
 def messages(path: str | Path, bag: Bag) -> Iterator[Raw]:
@@ -507,56 +491,37 @@ def messages(path: str | Path, bag: Bag) -> Iterator[Raw]:
     Raises:
         MissionError: it does not exist, nothing of it can be read, or the extra `mcap` is missing.
     """
-    place, is_any = Path(path), False
+    place = Path(path)
     if not exists(path):  # noqa: PTH110  # False for an impossible name, where Path raises
-        raise MissionError(
-            f"there is no recording {path}; name a file .mcap or .db3, or the folder of a rosbag2"
-        )
+        names = "name a file .mcap or .db3, or the folder of a rosbag2"
+        raise MissionError(f"there is no recording {path}; {names}")
     if not is_bag(path):
-        is_heard = (
-            "holds what was heard only, for `rosa replay` and tests"
-            if place.suffix == ".jsonl"
-            else ""
-        )
-        holds = is_heard or "is no recording (.mcap, .db3, or the folder of a rosbag2)"
-        raise MissionError(
-            f"{path} {holds}; `rosa run MISSION --record FILE.mcap` also keeps what was decided"
-        )
+        problem = "is no recording (.mcap, .db3, or the folder of a rosbag2)"
+        if place.suffix == ".jsonl":
+            problem = "holds what was heard only, for `rosa replay` and tests"
+        advice = "`rosa run MISSION --record FILE.mcap` also keeps what was decided"
+        raise MissionError(f"{path} {problem}; {advice}")
     ros.types()  # a missing library is not a fault of the recording
-    for file, found in _ways(place, bag):
+    is_any = False
+    for file, source in _sources(place, bag):
         try:
-            for raw in found:
+            for raw in source:
                 is_any = True
                 yield raw
         except Exception as error:  # each library and compression has its own kinds
-            said = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(": ")
-            bag.cut = f"{file.name} is cut off or damaged ({said})"
+            reason = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(": ")
+            bag.cut = f"{file.name} is cut off or damaged ({reason})"
         if file is place and (is_any or not bag.cut):
             return
-    if bag.cut and not is_any:
+    if not is_any:
         raise MissionError(f"cannot read the recording {place}: {bag.cut}")
 
 
-def _ways(place: Path, bag: Bag) -> Iterator[tuple[Path, Iterator[Raw]]]:
+def _sources(place: Path, bag: Bag) -> Iterator[tuple[Path, Iterator[Raw]]]:
     """Yield paths with their messages: a rosbag2 as a whole, then file by file."""
-    is_bag2 = (place / "metadata.yaml").exists() if place.is_dir() else place.suffix != ".mcap"
-    if is_bag2:
-        yield place, _rosbag2(place)
-    files = (
-        sorted(place.glob("*.mcap"), key=lambda one: (len(one.name), one))
-        if place.is_dir()
-        else [place]
-    )
-    if not files and not is_bag2:
-        bag.cut = "the folder has neither metadata.yaml nor a file .mcap; name the file .db3 itself"
-    if place.is_dir() or not is_bag2:
-        yield from ((file, mcap_messages(file, bag.problems)) for file in files)
-
-
-def _rosbag2(place: Path) -> Iterator[Raw]:
-    from rosbags.highlevel import AnyReader
-
-    with AnyReader([place], default_typestore=ros.types().store) as reader:
-        kinds = {one.id: (one.topic, one.msgtype, one.msgdef.data) for one in reader.connections}
-        for connection, stamp, data in reader.messages():
-            yield Raw(*kinds[connection.id], stamp, data)
+    if place.suffix == ".mcap":
+        yield place, mcap_messages(place, bag.problems)
+        return
+    yield place, _rosbag2(place)
+    for file in sorted(place.glob("*.mcap"), key=lambda file: (len(file.name), file)):
+        yield file, mcap_messages(file, bag.problems)

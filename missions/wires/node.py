@@ -8,12 +8,12 @@ import logging
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
-from itertools import count
 from threading import RLock
 from typing import Any, Final
+from uuid import uuid4
 
 from missions.engine.mission import MissionError
 
@@ -21,6 +21,8 @@ Message = dict[str, Any]
 Heard = Callable[[Message], object]
 Answer = Callable[[Message], Message]
 Clock = Callable[[], float]
+Reply = Future[Message]
+"""Ends with the answer to a call, or with `RosError`."""
 
 TIMEOUT_S: Final = 5.0
 """How long a call may take unless it is set otherwise [s]."""
@@ -61,14 +63,6 @@ class Refusals(Counter[str]):
             _log.warning("refused: %s", kind)
         self[kind] += 1
 
-    def hand_on(self, message: Message, hearers: Iterable[Heard]) -> None:
-        """Give a message to each hearer; one that raises does not keep it from the others."""
-        for hearer in hearers:
-            try:
-                hearer(message)
-            except Exception as error:  # an error of the hearer, not of the wire
-                self.add(error)
-
 
 @dataclass(eq=False)
 class Call:
@@ -76,14 +70,16 @@ class Call:
 
     Attributes:
         due_s: when it fails for want of an answer, by the node's clock [s].
+        overdue: what is said then.
         details: what the wire notes about it.
     """
 
     service: str
-    kind: str
-    future: "Future[Message]"
     due_s: float
+    overdue: str
     details: Any = None
+    reply: Reply = field(default_factory=Future)
+    id: str = field(default_factory=lambda: f"call:{uuid4().hex}")
 
 
 @dataclass(eq=False)
@@ -144,7 +140,6 @@ class Node(ABC):
         self._text = ""
         self._watchers: list[Callable[[bool, str], object]] = []
         self._lock = RLock()
-        self._numbers = count(1)
         self._calls: dict[str, Call] = {}
 
     @abstractmethod
@@ -158,12 +153,12 @@ class Node(ABC):
     @abstractmethod
     def call(
         self, service: str, kind: str, request: Message, timeout_s: float = TIMEOUT_S
-    ) -> "Future[Message]":
-        """Call a service; the future ends with the answer, or with `RosError`."""
+    ) -> Reply:
+        """Call a service."""
 
     @abstractmethod
     def serve(self, service: str, kind: str, answer: Answer) -> None:
-        """Answer the calls of a service; a function that raises `RosError` refuses the call."""
+        """Answer the calls of a service; one that a function raises for is refused."""
 
     @abstractmethod
     def send_goal(self, action: str, kind: str, goal: Message) -> Goal:
@@ -180,10 +175,9 @@ class Node(ABC):
     def update(self) -> None:
         """Fail the calls that are overdue."""
         now = self.clock()
-        with self._lock:
-            overdue = [number for number, call in self._calls.items() if now >= call.due_s]
-        for number in overdue:
-            self._expire(number)
+        for call in list(self._calls.values()):
+            if now >= call.due_s:
+                self._end_call(call, Unanswered(call.overdue))
 
     def watch(self, watcher: Callable[[bool, str], object]) -> None:
         """Call a function with `is_connected` and a sentence about it, now and at each change."""
@@ -199,28 +193,24 @@ class Node(ABC):
         for watcher in self._watchers:
             watcher(is_connected, text)
 
-    def _open_call(self, service: str, kind: str, timeout_s: float) -> tuple[str, Call]:
-        future = Future[Message]()
-        future.set_running_or_notify_cancel()  # its caller need not wait, but cannot cancel it
-        call = Call(service, kind, future, self.clock() + timeout_s)
-        number = f"call:{next(self._numbers)}"
-        with self._lock:
-            self._calls[number] = call
-        return number, call
+    def _open_call(self, service: str, timeout_s: float) -> Call:
+        overdue = f"{service} has not answered in time"
+        call = Call(service, self.clock() + timeout_s, overdue)
+        call.reply.set_running_or_notify_cancel()  # its caller need not wait, but cannot cancel it
+        self._calls[call.id] = call
+        return call
 
-    def _expire(self, number: str) -> None:
-        """Fail an overdue call."""
-        call = self._calls.get(number)
-        if call is not None:
-            self._end_call(number, Unanswered(f"{call.service} has not answered in time"))
-
-    def _end_call(self, number: str, answer: Message | RosError) -> None:
+    def _end_call(self, call: Call, answer: Message | RosError) -> None:
         """End a call with its answer or error, unless it has ended."""
-        with self._lock:
-            call = self._calls.pop(number, None)
-        if call is None:
+        if self._calls.pop(call.id, None) is None:
             return
         if isinstance(answer, RosError):
-            call.future.set_exception(answer)
+            call.reply.set_exception(answer)
         else:
-            call.future.set_result(answer)
+            call.reply.set_result(answer)
+
+    def _hand_on(self, message: Message, hearer: Heard) -> None:
+        try:
+            hearer(message)
+        except Exception as error:  # an error of the hearer, not of the wire
+            self.refused.add(error)

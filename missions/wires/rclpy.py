@@ -1,23 +1,33 @@
 """A node of rclpy, where ROS 2 is installed: it comes with ROS 2, pixi or RoboStack."""
 
-import logging
 import re
 import time
-from collections.abc import Callable, Mapping
-from concurrent.futures import Future
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from threading import Thread
 from typing import Any, Final
 
 from missions.engine.mission import MissionError
-from missions.wires.node import TIMEOUT_S, Answer, Call, Clock, Goal, Heard, Message, Node, RosError
-from missions.wires.ros import Field, to_message, to_object
+from missions.wires.node import (
+    TIMEOUT_S,
+    Answer,
+    Call,
+    Clock,
+    Goal,
+    Heard,
+    Message,
+    Node,
+    Reply,
+    RosError,
+)
+from missions.wires.ros import Field, Library, to_message
 
 _LOOK_S: Final = 0.2
 """The period of looking which other nodes are there [s]."""
-_TYPE: Final = re.compile(r"(?:sequence<)?([\w/]+)(?:<\d+>)?(?:, \d+)?>?(?:\[(\d+)\])?")
+_TYPE: Final = re.compile(r"(sequence<)?([\w/]+)(?:<\d+>)?(?:, \d+)?>?(?:\[(\d+)\])?")
 """A field's type as rclpy writes it: `sequence<double, 3>`, `string<10>`, `double[36]`."""
 _NAMES: Final = {
     "boolean": "bool",
@@ -26,60 +36,42 @@ _NAMES: Final = {
     "double": "float64",
     "wstring": "string",
 }
-_log = logging.getLogger(__name__)
 
 
-class Messages:
+class Messages(Library):
     """ROS 2's types as the classes of its message packages."""
 
-    def __init__(self) -> None:
-        self._fields: dict[str, Mapping[str, Field]] = {}
+    byte = staticmethod(lambda value: bytes([value]))
 
-    def fields(self, kind: str) -> Mapping[str, Field]:
-        if kind not in self._fields:
-            types = self.find(kind).get_fields_and_field_types()
-            self._fields[kind] = {name: _field(text) for name, text in types.items()}
-        return self._fields[kind]
+    def read_fields(self, kind: str) -> dict[str, Field]:
+        types = self.find(kind).get_fields_and_field_types()
+        return {name: _field(text) for name, text in types.items()}
 
     def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # an object of rclpy
-        fields = self.fields(kind)
-        native = {name: _native(fields[name], value) for name, value in values.items()}
-        return self.find(kind)(**native)
+        return self.find(kind)(**values)
 
     def find(self, kind: str) -> Any:  # noqa: ANN401  # an object of rclpy
         """Return the class of a message, service or action, or of a part, e.g. TYPE_Request."""
-        from rosidl_runtime_py import utilities
-
-        part = kind.rpartition("/")[2].partition("_")[2]
-        name = kind.removesuffix(f"_{part}")
         try:
-            if "/srv/" in kind:
-                whole = utilities.get_service(name)
-            elif "/action/" in kind:
-                whole = utilities.get_action(name)
-            else:
-                whole = utilities.get_message(kind)
+            package, folder, name = kind.split("/")
+            found = import_module(f"{package}.{folder}")
+            for part in name.split("_"):
+                found = getattr(found, part)
         except (ImportError, AttributeError, ValueError) as error:
             advice = "source the workspace that has it"
             raise RosError(f"the type {kind!r} is not installed ({error}); {advice}") from None
-        return getattr(whole, part) if part else whole
+        return found
 
 
 def _field(text: str) -> Field:
     match = _TYPE.fullmatch(text)
     if match is None:
         raise RosError(f"the type {text!r} of a field is not known")
-    name, size = match.groups()
-    length = int(size) if size else None
-    if text.startswith("sequence"):
-        length = 0
-    return Field(name.replace("/", "/msg/") if "/" in name else _NAMES.get(name, name), length)
-
-
-def _native(field: Field, value: Any) -> Any:  # noqa: ANN401  # of a field
-    if field.kind != "byte":
-        return value
-    return bytes([value]) if field.length is None else [bytes([item]) for item in value]
+    sequence, name, size = match.groups()
+    kind = name.replace("/", "/msg/") if "/" in name else _NAMES.get(name, name)
+    if sequence:
+        return Field(kind, 0)
+    return Field(kind, int(size) if size else None)
 
 
 @dataclass(eq=False)
@@ -87,8 +79,8 @@ class _Reader:
     """A subscription; it is opened anew when its publishers ask for another quality of service."""
 
     topic: str
-    kind: str
-    hearer: Heard
+    kind: Any
+    take: Callable[[Any], None]
     opened: Any = None
     quality: tuple[bool, bool] = (True, False)
     """Whether it is reliable, and whether it hears what was published before it was there."""
@@ -100,47 +92,43 @@ class RclpyGoal(Goal):
     handle: Any = None
     is_unwanted = False
 
-    def __init__(self, node: "RclpyNode", action: str, kind: str) -> None:
-        super().__init__(action)
-        self._types = node.types
-        self._kind = kind
-
     def cancel(self) -> None:
         self.is_unwanted = True
         if self.handle is not None and not self.is_over:
-            self.handle.cancel_goal_async().add_done_callback(self._on_cancel)
+            self.when(self.handle.cancel_goal_async(), self._on_cancel)
 
-    def on_response(self, future: Any) -> None:  # noqa: ANN401  # an object of rclpy
-        handle = self._value(future)
-        if handle is not None and not handle.accepted:
+    def on_response(self, handle: Any) -> None:  # noqa: ANN401  # an object of rclpy
+        if not handle.accepted:
             self.error = f"{self.action} rejects the goal"
-        elif handle is not None:
-            self.handle = handle
-            self._progress(1)  # the handle's own status is 0 even now
-            handle.get_result_async().add_done_callback(self._on_result)
-            if self.is_unwanted:
-                self.cancel()
+            return
+        self.handle = handle
+        self._progress(1)  # the handle's own status is 0 even now
+        self.when(handle.get_result_async(), self._on_result)
+        if self.is_unwanted:
+            self.cancel()
 
     def on_feedback(self, message: Any) -> None:  # noqa: ANN401  # an object of rclpy
-        self.feedback = to_message(self._types, f"{self._kind}_Feedback", message.feedback)
+        self.feedback = to_message(message.feedback)
         self._progress(2)
 
-    def _on_result(self, future: Any) -> None:  # noqa: ANN401  # an object of rclpy
-        answer = self._value(future)
-        if answer is not None:
-            self.result = to_message(self._types, f"{self._kind}_Result", answer.result)
-            self._progress(answer.status)
+    def _on_result(self, answer: Any) -> None:  # noqa: ANN401  # an object of rclpy
+        self.result = to_message(answer.result)
+        self._progress(answer.status)
 
-    def _on_cancel(self, future: Any) -> None:  # noqa: ANN401  # an object of rclpy
-        answer = self._value(future)
-        if answer is not None:  # its return code is 0 even when the cancel is refused
-            self.is_cancel_refused = not answer.goals_canceling
+    def _on_cancel(self, answer: Any) -> None:  # noqa: ANN401  # an object of rclpy
+        # its return code is 0 even when the cancel is refused
+        self.is_cancel_refused = not answer.goals_canceling
 
-    def _value(self, future: Any) -> Any:  # noqa: ANN401  # an object of rclpy
-        if future.exception() is None:
-            return future.result()
-        self.error = f"{self.action} failed: {future.exception()}"
-        return None
+    def when(self, future: Any, act: Callable[[Any], None]) -> None:  # noqa: ANN401  # of rclpy
+        """Call a function with the result of a future when it is there."""
+
+        def end(future: Any) -> None:  # noqa: ANN401  # of rclpy
+            if future.exception() is None:
+                act(future.result())
+            else:
+                self.error = f"{self.action} failed: {future.exception()}"
+
+        future.add_done_callback(end)
 
 
 class RclpyNode(Node):
@@ -162,8 +150,8 @@ class RclpyNode(Node):
             raise MissionError(f"rclpy is not installed ({error}); {source}; {advice}") from None
         self.types = Messages()
         self._readers: list[_Reader] = []
-        self._publish: dict[str, Callable[[Any], object]] = {}
-        self._clients: dict[str, Any] = {}
+        self._partners: dict[str, Any] = {}
+        """Publishers by topic, clients by service or action."""
         try:
             self._context = Context()
             rclpy.init(context=self._context)
@@ -172,9 +160,8 @@ class RclpyNode(Node):
             self._executor = SingleThreadedExecutor(context=self._context)
             self._executor.add_node(self._node)
         except Exception as error:  # of whatever middleware
-            raise MissionError(
-                f"rclpy cannot start: {error}; does `ros2 topic list` work?"
-            ) from error
+            advice = "does `ros2 topic list` work?"
+            raise MissionError(f"rclpy cannot start: {error}; {advice}") from error
         self._report(False, "rclpy: no other node is there")
         self._thread = Thread(target=self._spin, name="rclpy", daemon=True)
         self._thread.start()
@@ -188,59 +175,64 @@ class RclpyNode(Node):
         rclpy.shutdown(context=self._context)
         self._thread.join()
         self._node.destroy_node()
-        for number, call in list(self._calls.items()):
+        for call in list(self._calls.values()):
             error = RosError(f"{call.service} is not answered any more: the node is closed")
-            self._end_call(number, error)
+            self._end_call(call, error)
 
     def subscribe(self, topic: str, kind: str, hearer: Heard) -> None:
-        self.types.find(kind)
-        reader = _Reader(topic, kind, hearer)
+        def take(thing: Any) -> None:  # noqa: ANN401  # an object of rclpy
+            self._hand_on(thing, lambda thing: hearer(to_message(thing)))
+
+        reader = _Reader(topic, self.types.find(kind), take)
         with self._lock:
             self._open_reader(reader)
             self._readers.append(reader)
 
     def publish(self, topic: str, kind: str, message: Message) -> None:
-        thing = to_object(self.types, kind, message)
-        with self._lock:
-            if topic not in self._publish:
-                quality = _quality(is_reliable=True, is_latched=False)
-                publisher = self._node.create_publisher(self.types.find(kind), topic, quality)
-                self._publish[topic] = publisher.publish
-        self._publish[topic](thing)
+        thing = self.types.to_object(kind, message)
+        quality = _quality(is_reliable=True, is_latched=False)
+        self._partner(topic, kind, self._node.create_publisher, quality).publish(thing)
 
     def call(
         self, service: str, kind: str, request: Message, timeout_s: float = TIMEOUT_S
-    ) -> "Future[Message]":
-        thing = to_object(self.types, f"{kind}_Request", request)
-        with self._lock:
-            if service not in self._clients:
-                client = self._node.create_client(self.types.find(kind), service)
-                self._clients[service] = client
-        number, call = self._open_call(service, kind, timeout_s)
+    ) -> Reply:
+        thing = self.types.to_object(f"{kind}_Request", request)
+        self._partner(service, kind, self._node.create_client)
+        call = self._open_call(service, timeout_s)
+        call.overdue = f"nobody serves {service}"  # until it is sent
         call.details = thing
-        self._send_call(number, call)
-        return call.future
+        self._send_call(call)
+        return call.reply
 
     def serve(self, service: str, kind: str, answer: Answer) -> None:
-        def respond(request: Any, _: Any) -> Any:  # noqa: ANN401  # an object of rclpy
-            return self._response(kind, answer, request)
+        def respond(request: Any, response: Any) -> Any:  # noqa: ANN401  # an object of rclpy
+            try:
+                return self.types.to_object(f"{kind}_Response", answer(to_message(request)))
+            except Exception as error:  # it must not end the node
+                self.refused.add(error)
+                return response
 
         self._node.create_service(self.types.find(kind), service, respond)
 
     def send_goal(self, action: str, kind: str, goal: Message) -> RclpyGoal:
         from rclpy.action import ActionClient
 
-        thing = to_object(self.types, f"{kind}_Goal", goal)
-        with self._lock:
-            if action not in self._clients:
-                self._clients[action] = ActionClient(self._node, self.types.find(kind), action)
-        sent = RclpyGoal(self, action, kind)
-        response = self._clients[action].send_goal_async(thing, feedback_callback=sent.on_feedback)
-        response.add_done_callback(sent.on_response)
+        thing = self.types.to_object(f"{kind}_Goal", goal)
+        sent = RclpyGoal(action)
+        client = self._partner(action, kind, partial(ActionClient, self._node))
+        response = client.send_goal_async(thing, feedback_callback=sent.on_feedback)
+        sent.when(response, sent.on_response)
         return sent
 
     def publishers(self, topic: str) -> int:
         return len(self._node.get_publishers_info_by_topic(topic))
+
+    def _partner(self, place: str, kind: str, create: Callable[..., Any], *more: object) -> Any:  # noqa: ANN401  # an object of rclpy
+        """Return a publisher or a client; it is made when it is first needed."""
+        with self._lock:
+            if place not in self._partners:
+                self._partners[place] = create(self.types.find(kind), place, *more)
+        return self._partners[place]
 
     def _spin(self) -> None:
         from rclpy.executors import ExternalShutdownException, ShutdownException
@@ -253,14 +245,8 @@ class RclpyNode(Node):
             self._node.destroy_subscription(reader.opened)
         is_reliable, is_latched = reader.quality
         quality = _quality(is_reliable=is_reliable, is_latched=is_latched)
-        kind, take = self.types.find(reader.kind), partial(self._take, reader)
-        reader.opened = self._node.create_subscription(kind, reader.topic, take, quality)
-
-    def _take(self, reader: _Reader, thing: Any) -> None:  # noqa: ANN401  # an object of rclpy
-        try:
-            reader.hearer(to_message(self.types, reader.kind, thing))
-        except Exception as error:  # a malformed message, or an error of the hearer
-            self.refused.add(error)
+        create = self._node.create_subscription
+        reader.opened = create(reader.kind, reader.topic, reader.take, quality)
 
     def _look(self) -> None:
         """Look which other nodes are there, and send the calls that waited for their service."""
@@ -270,61 +256,42 @@ class RclpyNode(Node):
         with self._lock:
             for reader in self._readers:
                 infos = self._node.get_publishers_info_by_topic(reader.topic)
-                profiles = [info.qos_profile for info in infos]
-                if not profiles:
+                qualities = [info.qos_profile for info in infos]
+                if not qualities:
                     continue
                 is_published = True
-                best_effort, latched = (
-                    ReliabilityPolicy.BEST_EFFORT,
-                    DurabilityPolicy.TRANSIENT_LOCAL,
-                )
-                is_reliable = all(profile.reliability != best_effort for profile in profiles)
-                is_latched = all(profile.durability == latched for profile in profiles)
+                best_effort = ReliabilityPolicy.BEST_EFFORT
+                latched = DurabilityPolicy.TRANSIENT_LOCAL
+                is_reliable = all(quality.reliability != best_effort for quality in qualities)
+                is_latched = all(quality.durability == latched for quality in qualities)
                 if reader.quality != (is_reliable, is_latched):
                     reader.quality = (is_reliable, is_latched)
                     self._open_reader(reader)
-            waiting = list(self._calls.items())
-        for number, call in waiting:
-            self._send_call(number, call)
-        presence = "other nodes are there" if is_published else "all other nodes are gone"
+        for call in list(self._calls.values()):
+            self._send_call(call)
         if is_published != self.is_connected:
+            presence = "other nodes are there" if is_published else "all other nodes are gone"
             self._report(is_published, f"rclpy: {presence}")
 
-    def _send_call(self, number: str, call: Call) -> None:
+    def _send_call(self, call: Call) -> None:
         """Send a call once its service is there; fail it when the service is gone."""
-        client = self._clients[call.service]
+        client = self._partners[call.service]
         is_ready = client.service_is_ready()
         with self._lock:
-            request, call.details = call.details, None if is_ready else call.details
+            request = call.details
+            if is_ready:
+                call.details = None
         if is_ready and request is not None:
-            answered = client.call_async(request)
-            answered.add_done_callback(partial(self._on_answer, number, call))
+            call.overdue = f"{call.service} has not answered in time"
+            client.call_async(request).add_done_callback(partial(self._on_answer, call))
         elif not is_ready and request is None:
-            self._end_call(number, RosError(f"the server of {call.service} is gone"))
+            self._end_call(call, RosError(f"the server of {call.service} is gone"))
 
-    def _on_answer(self, number: str, call: Call, future: Any) -> None:  # noqa: ANN401  # an object of rclpy
+    def _on_answer(self, call: Call, future: Any) -> None:  # noqa: ANN401  # an object of rclpy
         if future.exception() is not None:
-            self._end_call(number, RosError(f"{call.service} failed: {future.exception()}"))
+            self._end_call(call, RosError(f"{call.service} failed: {future.exception()}"))
         else:
-            answer = to_message(self.types, f"{call.kind}_Response", future.result())
-            self._end_call(number, answer)
-
-    def _expire(self, number: str) -> None:
-        call = self._calls.get(number)
-        if call is not None and call.details is not None:  # it was never sent
-            self._end_call(number, RosError(f"nobody serves {call.service}"))
-        super()._expire(number)
-
-    def _response(self, kind: str, answer: Answer, request: Any) -> Any:  # noqa: ANN401  # an object of rclpy
-        """Return the response to a call, an empty one if it fails: ROS 2 has no error response."""
-        try:
-            message = answer(to_message(self.types, f"{kind}_Request", request))
-            return to_object(self.types, f"{kind}_Response", message)
-        except RosError as error:
-            _log.warning("a call of %s is refused: %s", kind, error)
-        except Exception:  # our own error must not end the node
-            _log.warning("a call of %s could not be answered", kind, exc_info=True)
-        return self.types.new(f"{kind}_Response", {})
+            self._end_call(call, to_message(future.result()))
 
 
 def _quality(*, is_reliable: bool, is_latched: bool) -> Any:  # noqa: ANN401  # an object of rclpy

@@ -6,12 +6,14 @@ Recordings take the types from `rosbags`, so they need no ROS.
 import json
 import math
 import re
+from abc import ABC, abstractmethod
 from base64 import b64decode
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, fields, is_dataclass
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from kb import Event
 from missions.engine.mission import MissionError, needs
@@ -26,68 +28,138 @@ FLOAT: Final = "std_msgs/msg/Float64"
 LOG: Final = "rcl_interfaces/msg/Log"
 POSE: Final = "geometry_msgs/msg/PoseStamped"
 STRING: Final = "std_msgs/msg/String"
-TF: Final = "tf2_msgs/msg/TFMessage"
 TREE_LOG: Final = "nav2_msgs/msg/BehaviorTreeLog"
 INFO, WARN = 20, 30
 """Severity levels of rcl_interfaces/Log."""
-FRAME, BODY = "map", "base_link"
-"""The world frame (z up) and the robot's frame, named as in REP 105."""
+FRAME: Final = "map"
+"""The world frame, z up, named as in REP 105."""
 _DEFINITIONS: Final = Path(__file__).with_name("definitions.txt")
 """Definitions of the messages and services that `rosbags` does not have."""
 NOTHING: Final = "structure_needs_at_least_one_member"
 """The field that a message without fields has on the wire."""
 _KIND: Final = re.compile(r"\w+/msg/\w+")
-_FLOATS: Final = ("float32", "float64")
 _UPRIGHT: Final = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
+# ------------------------------------------------------------ messages and the objects of a library
 
-class Types:
-    """ROS 2's types as `rosbags` has them; makes messages, and encodes and decodes them as CDR."""
 
-    def __init__(self, store: "Typestore") -> None:
-        self.store = store
-        self._fields: dict[str, Mapping[str, Field]] = {}
+class Field(NamedTuple):
+    """A field's type; `length` is None for one value, 0 for a sequence, else the size."""
 
-    def fields(self, kind: str) -> Mapping[str, "Field"]:
+    kind: str
+    length: int | None = None
+
+
+class Library(ABC):
+    """A library that has ROS 2's message types as classes."""
+
+    byte: Callable[[int], Any] = int
+    """Makes the value of a field of type byte."""
+
+    def __init__(self) -> None:
+        self._fields: dict[str, dict[str, Field]] = {}
+
+    @abstractmethod
+    def read_fields(self, kind: str) -> dict[str, Field]:
+        """Return the fields of a message type; `RosError` if it is not known."""
+
+    @abstractmethod
+    def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # an object of the library
+        """Return a message with these values; all other fields are zero or empty."""
+
+    def fields(self, kind: str) -> dict[str, Field]:
         if kind not in self._fields:
-            known = self.store.fielddefs
-            if kind not in known:
-                what = f"the type {kind!r} is not known" if kind else "no type is named"
-                raise RosError(f"{what}; name one of ROS 2's, PACKAGE/msg/TYPE")
-            self._fields[kind] = {
-                name: _field(*one) for name, one in known[kind][1] if name != NOTHING
-            }
+            self._fields[kind] = self.read_fields(kind)
         return self._fields[kind]
 
-    def find(self, kind: str) -> Any:  # noqa: ANN401  # `rosbags` makes classes
-        return self.store.types[kind]
+    def to_object(self, kind: str, message: Message) -> Any:  # noqa: ANN401  # of the library
+        """Return the library's object for a message that is written as a dict.
+
+        Raises:
+            RosError: the type or a field is not known, or a value cannot be of its field's type.
+        """
+        fields = self.fields(kind)
+        values = {}
+        try:
+            for name, value in message.items():
+                if name not in fields:
+                    names = ", ".join(fields) or "none"
+                    raise RosError(f"{kind} has no field {name!r}; it has {names}")
+                values[name] = self._to_value(*fields[name], value)
+            return self.new(kind, values)
+        except (AssertionError, AttributeError, TypeError, ValueError) as error:
+            raise RosError(f"{message!r:.60} is no {kind}: {error}") from None
+
+    def _to_value(self, kind: str, length: int | None, value: Any) -> Any:  # noqa: ANN401  # of a field
+        if length is not None:
+            if isinstance(value, str) and kind in ("uint8", "byte"):
+                value = b64decode(value)
+            return [self._to_value(kind, None, item) for item in value]
+        if "/" in kind:
+            return self.to_object(kind, value)
+        if kind in ("float32", "float64"):
+            return math.nan if value is None else float(value)
+        return self.byte(value) if kind == "byte" else value
+
+
+def to_message(value: Any) -> Any:  # noqa: ANN401  # an object of a library, or a part of it
+    """Return a message of a library as a dict, and the values in it as JSON has them."""
+    if hasattr(value, "get_fields_and_field_types"):  # rclpy's
+        names: Iterable[str] = value.get_fields_and_field_types()
+    elif is_dataclass(value):  # that of `rosbags`; its constants have defaults
+        names = [field.name for field in fields(value) if field.default is MISSING]
+    elif isinstance(value, bytes):  # rclpy's byte
+        return value[0]
+    elif hasattr(value, "tolist"):  # numpy's, or an array
+        return to_message(value.tolist())
+    elif isinstance(value, list):
+        return [to_message(item) for item in value]
+    else:
+        return plain(value)
+    return {name: to_message(getattr(value, name)) for name in names if name != NOTHING}
+
+
+class Types(Library):
+    """ROS 2's types as `rosbags` has them, which also encodes and decodes them as CDR."""
+
+    def __init__(self, store: "Typestore") -> None:
+        super().__init__()
+        self.store = store
+
+    def read_fields(self, kind: str) -> dict[str, Field]:
+        if kind not in self.store.fielddefs:
+            problem = f"the type {kind!r} is not known" if kind else "no type is named"
+            raise RosError(f"{problem}; name one of ROS 2's, PACKAGE/msg/TYPE")
+        fields = self.store.fielddefs[kind][1]
+        return {name: _field(*field) for name, field in fields if name != NOTHING}
 
     def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # of a class that is made
-        fields = self.fields(kind)
         whole = {
-            name: values[name] if name in values else self._empty(field)
-            for name, field in fields.items()
+            name: values[name] if name in values else self._empty(*field)
+            for name, field in self.fields(kind).items()
         }
-        return self.find(kind)(**whole or {NOTHING: 0})
+        return self.store.types[kind](**whole or {NOTHING: 0})
+
+    def _empty(self, kind: str, length: int | None) -> Any:  # noqa: ANN401  # of whatever type
+        if length is not None:
+            return [self._empty(kind, None) for _ in range(length)]
+        if "/" in kind:
+            return self.new(kind, {})
+        return "" if kind == "string" else 0
 
     def definition(self, kind: str) -> str:
         """Return the text that defines a type and the types in it, as recordings hold it."""
         return str(self.store.generate_msgdef(kind, ros_version=2)[0])
 
     def encode(self, kind: str, message: Message) -> bytes:
-        return bytes(self.store.serialize_cdr(to_object(self, kind, message), kind))
+        return bytes(self.store.serialize_cdr(self.to_object(kind, message), kind))
 
-    def decode(self, kind: str, data: bytes) -> Any:  # noqa: ANN401  # of a class that is made
-        return self.store.deserialize_cdr(data, kind)
-
-    def _empty(self, field: "Field") -> Any:  # noqa: ANN401  # of whatever type
-        if field.length == 0:
-            return []
-        one = self.new(field.kind, {}) if "/" in field.kind else "" if field.kind == "string" else 0
-        return one if field.length is None else [one] * field.length
+    def decode(self, kind: str, data: bytes) -> Message:
+        message: Message = to_message(self.store.deserialize_cdr(data, kind))
+        return message
 
 
-def _field(node: Any, what: Any) -> "Field":  # noqa: ANN401  # as `rosbags` has it
+def _field(node: Any, what: Any) -> Field:  # noqa: ANN401  # as `rosbags` has it
     if node.name in ("ARRAY", "SEQUENCE"):
         return Field(_field(*what[0]).kind, what[1] if node.name == "ARRAY" else 0)
     return Field(what if node.name == "NAME" else what[0])
@@ -103,19 +175,33 @@ def types() -> Types:
     with needs("mcap", "recordings as MCAP and rosbag2"):
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     store = get_typestore(Stores.ROS2_HUMBLE)
-    for line in _DEFINITIONS.read_text(encoding="utf-8").splitlines():
-        if line.startswith("#"):
-            continue
-        name, text = line.split(":", 1)
-        package, base = name.split("/")
-        parts = text.split("->")
-        for ending, part in zip(
-            ("_Request", "_Response") if len(parts) > 1 else ("",), parts, strict=True
-        ):
-            fields = part.strip().replace(", ", "\n") or f"uint8 {NOTHING}"
-            (found,) = get_types_from_msg(fields, f"{package}/msg/{base}").values()
-            store.register({f"{package}/{'srv' if ending else 'msg'}/{base}{ending}": found})
+    definitions = get_types_from_msg(_DEFINITIONS.read_text(encoding="utf-8"), "x/msg/Nothing")
+    for name, definition in definitions.items():
+        store.register({name.replace("/srv/msg/", "/srv/"): definition})
     return Types(store)
+
+
+def check_kind(kind: str) -> None:
+    """Refuse what cannot be a message type; a rosbridge says nothing about those.
+
+    Raises:
+        RosError: it is not written as one, or its package is known and has no such type.
+    """
+    if not kind:
+        return
+    if _KIND.fullmatch(kind) is None:
+        raise RosError(f"{kind!r} is no type of a message; write PACKAGE/msg/TYPE")
+    try:
+        kinds = types().store.fielddefs
+    except MissionError:  # without the extra `mcap`
+        return
+    names = [name for name in kinds if name.startswith(f"{kind.split('/')[0]}/msg/")]
+    if names and kind not in names:
+        nearest = "".join(f"; did you mean {name}?" for name in get_close_matches(kind, names, 1))
+        raise RosError(f"there is no message type {kind!r}{nearest}")
+
+
+# ------------------------------------------------------------ messages that we publish and record
 
 
 def nanoseconds(time_s: float) -> int:
@@ -123,7 +209,8 @@ def nanoseconds(time_s: float) -> int:
 
 
 def stamp(time_s: float) -> Message:
-    return dict(zip(("sec", "nanosec"), divmod(nanoseconds(time_s), 10**9), strict=True))
+    sec, nanosec = divmod(nanoseconds(time_s), 10**9)
+    return {"sec": sec, "nanosec": nanosec}
 
 
 def _header(time_s: float, frame: str) -> Message:
@@ -141,32 +228,36 @@ def diagnostics(time_s: float, array: Any) -> Message:  # noqa: ANN401  # in any
     """
     if isinstance(array, bytes):
         array = types().decode(DIAGNOSTICS, array)
+    elif not isinstance(array, Mapping):
+        array = to_message(array)
     statuses = []
-    for status in _fields(array)["status"]:
-        fields = _fields(status)
-        level, pairs = fields.get("level", 0), fields["values"]
-        if isinstance(pairs, Mapping):
-            pairs = [{"key": key, "value": value} for key, value in pairs.items()]
-        values = [{key: str(_fields(pair)[key]) for key in ("key", "value")} for pair in pairs]
-        texts = {key: str(fields.get(key, "")) for key in ("name", "hardware_id")}
-        level = level[0] if isinstance(level, bytes) else level
-        message = str(fields["message"])
+    for status in array["status"]:
+        pairs = status["values"]
+        if not isinstance(pairs, Mapping):
+            pairs = {pair["key"]: pair["value"] for pair in pairs}
+        values = [{"key": str(key), "value": str(value)} for key, value in pairs.items()]
+        texts = {key: str(status.get(key, "")) for key in ("name", "hardware_id")}
+        message = str(status["message"])
+        level = status.get("level", 0)
         statuses.append({"level": level, **texts, "message": message, "values": values})
     return {"header": _header(time_s, ""), "status": statuses}
 
 
-def _fields(thing: Any) -> Mapping[str, Any]:  # noqa: ANN401  # a dict, or an object of a library
-    if isinstance(thing, Mapping):
-        return thing
-    return {name: getattr(thing, name) for name in dir(thing) if not name.startswith("_")}
+def statuses_of(data: bytes) -> list[Message]:
+    """Return a DiagnosticArray's statuses: name, message, values; level unless it is 0."""
+    statuses = []
+    for status in types().decode(DIAGNOSTICS, data)["status"]:
+        values = {pair["key"]: pair["value"] for pair in status["values"]}
+        fields = {"name": status["name"], "message": status["message"], "values": values}
+        statuses.append(fields | ({"level": status["level"]} if status["level"] else {}))
+    return statuses
 
 
 def log_of(event: Event, more: str = "") -> Message:
     """Return an event's log message: a plan with its reason, a failure as a warning."""
     why = f" because {event.plan.reason}" if event.plan is not None and event.plan.reason else ""
-    return log(
-        event.time, WARN if event.verb == "component_failed" else INFO, f"{event.text}{why}{more}"
-    )
+    level = WARN if event.verb == "component_failed" else INFO
+    return log(event.time, level, f"{event.text}{why}{more}")
 
 
 def log(time_s: float, level: int, text: str) -> Message:
@@ -176,122 +267,13 @@ def log(time_s: float, level: int, text: str) -> Message:
 
 def tree_log(time_s: float, changes: Sequence[tuple[str, int, str, str]]) -> Message:
     """Return Nav2's message of status changes: (node name, uid, previous, current)."""
-    now, names = stamp(time_s), ("node_name", "uid", "previous_status", "current_status")
+    now = stamp(time_s)
+    names = ("node_name", "uid", "previous_status", "current_status")
     changed = [{"timestamp": now, **dict(zip(names, change, strict=True))} for change in changes]
     return {"timestamp": now, "event_log": changed}
 
 
 def pose(time_s: float, position: Sequence[float]) -> Message:
     """Return a pose at (x, y, z) [m], world frame; upright, as the attitude is not known."""
-    where = dict(zip("xyz", position, strict=True))
-    return {"header": _header(time_s, FRAME), "pose": {"position": where, "orientation": _UPRIGHT}}
-
-
-def transform(time_s: float, position: Sequence[float]) -> Message:
-    """Return the same pose as a transform from the world frame to the robot's frame."""
-    moved = {"translation": dict(zip("xyz", position, strict=True)), "rotation": _UPRIGHT}
-    return {
-        "transforms": [
-            {"header": _header(time_s, FRAME), "child_frame_id": BODY, "transform": moved}
-        ]
-    }
-
-
-def statuses_of(data: bytes) -> list[dict[str, Any]]:
-    """Return a DiagnosticArray's statuses: name, message, values; level unless it is 0."""
-    statuses = []
-    for status in types().decode(DIAGNOSTICS, data).status:
-        values = {pair.key: pair.value for pair in status.values}
-        fields = {"name": status.name, "message": status.message, "values": values}
-        statuses.append(fields | ({"level": int(status.level)} if status.level else {}))
-    return statuses
-
-
-def check_kind(kind: str) -> None:
-    """Refuse what cannot be a message type; a rosbridge says nothing about those.
-
-    Raises:
-        RosError: it is not written as one, or its package is known and has no such type.
-    """
-    if not kind:
-        return
-    if _KIND.fullmatch(kind) is None:
-        raise RosError(f"{kind!r} is no type of a message; write PACKAGE/msg/TYPE")
-    try:
-        known = types().store.fielddefs
-    except MissionError:  # without the extra `mcap`
-        return
-    package = f"{kind.split('/')[0]}/msg/"
-    names = [name for name in known if name.startswith(package)]
-    if names and kind not in names:
-        nearest = get_close_matches(kind, names, 1)
-        advice = f"; did you mean {nearest[0]}?" if nearest else ""
-        raise RosError(f"there is no message type {kind!r}{advice}")
-
-
-# ------------------------------------------------------------ messages and the objects of a library
-
-
-class Field(NamedTuple):
-    """A field's type; `length` is None for one value, 0 for a sequence, else the size."""
-
-    kind: str
-    length: int | None = None
-
-
-class Library(Protocol):
-    """A library that has ROS 2's message types."""
-
-    def fields(self, kind: str) -> Mapping[str, Field]:
-        """Return the fields of a message type; `RosError` if it is not known."""
-
-    def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # an object of the library
-        """Return a message with these values; all other fields are zero or empty."""
-
-
-def to_object(library: Library, kind: str, message: Message) -> Any:  # noqa: ANN401  # a message of the library
-    """Return the library's object for a message that is written as a dict.
-
-    Raises:
-        RosError: the type or a field is not known, or a value cannot be of its field's type.
-    """
-    fields = library.fields(kind)
-    values = {}
-    try:
-        for name, value in message.items():
-            if name not in fields:
-                known = ", ".join(fields) or "none"
-                raise RosError(f"{kind} has no field {name!r}; it has {known}")
-            values[name] = _to_value(library, fields[name], value)
-        return library.new(kind, values)
-    except (AssertionError, AttributeError, TypeError, ValueError) as error:
-        raise RosError(f"{message!r:.60} is no {kind}: {error}") from None
-
-
-def _to_value(library: Library, field: Field, value: Any) -> Any:  # noqa: ANN401  # of a field
-    kind, length = field
-    if length is not None:
-        if isinstance(value, str) and kind in ("uint8", "byte"):
-            value = b64decode(value)
-        return [_to_value(library, Field(kind), item) for item in value]
-    if "/" in kind:
-        return to_object(library, kind, value)
-    if kind in _FLOATS:
-        return math.nan if value is None else float(value)
-    return value
-
-
-def to_message(library: Library, kind: str, thing: Any) -> Message:  # noqa: ANN401  # a message of the library
-    fields = library.fields(kind).items()
-    return {name: _from_value(library, field, getattr(thing, name)) for name, field in fields}
-
-
-def _from_value(library: Library, field: Field, value: Any) -> object:  # noqa: ANN401  # of a field
-    kind, length = field
-    if length is not None:
-        return [_from_value(library, Field(kind), item) for item in value]
-    if "/" in kind:
-        return to_message(library, kind, value)
-    if isinstance(value, bytes):  # rclpy's byte
-        return value[0]
-    return plain(float(value)) if kind in _FLOATS else value
+    place = dict(zip("xyz", position, strict=True))
+    return {"header": _header(time_s, FRAME), "pose": {"position": place, "orientation": _UPRIGHT}}

@@ -3,17 +3,19 @@
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 from missions.engine.mission import MissionError
 from missions.wires.node import TIMEOUT_S
 
-_NUMBER: Final = (int, float)
-_ITEMS: Final = {"timeouts": (_NUMBER, "numbers"), "diagnostics": ((str, dict), "texts or tables")}
+_ITEMS: Final = {
+    "timeouts": ((int, float), "numbers"),
+    "diagnostics": ((str, dict), "texts or tables"),
+}
 """What the tables of `bridge.toml` hold; any other one texts."""
-_RESTARTED: Final = ("recover", "fail")
+_WORDS: Final = {str: "a text", bool: "true or false", float: "a number"}
 
 
 @dataclass(frozen=True)
@@ -50,9 +52,8 @@ class BridgeSettings:
     use_sim_time: bool = False
 
     def __post_init__(self) -> None:
-        if self.restarted not in _RESTARTED:
-            names = " or ".join(_RESTARTED)
-            raise MissionError(f"restarted is {names}, not {self.restarted!r}")
+        if self.restarted not in ("recover", "fail"):
+            raise MissionError(f"restarted is recover or fail, not {self.restarted!r}")
         for seconds in (self.timeout_s, self.poll_s, self.notice_s, *self.timeouts.values()):
             if not 0 < seconds < math.inf:
                 raise MissionError(f"a time of the bridge is more than 0 s, not {seconds!r}")
@@ -69,25 +70,23 @@ class BridgeSettings:
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise MissionError(f"cannot read {path}: {reason}") from None
-        defaults = {field.name: getattr(cls(), field.name) for field in fields(cls)}
+        defaults = vars(cls())
         for name, value in values.items():
             if name not in defaults:
-                known = ", ".join(defaults)
-                raise MissionError(f"{path} has an unknown field {name!r}; known are {known}")
-            if isinstance(defaults[name], dict):
-                kind, words = _ITEMS.get(name, (str, "texts"))
-                is_right = isinstance(value, dict) and all(
-                    _is_a(one, kind) for one in value.values()
-                )
+                fields = ", ".join(defaults)
+                raise MissionError(f"{path} has an unknown field {name!r}; known are {fields}")
+            kind = type(defaults[name])
+            if kind is dict:
+                item, words = _ITEMS.get(name, (str, "texts"))
                 words = f"a table of {words}"
+                is_right = isinstance(value, dict) and all(_is(v, item) for v in value.values())
             else:
-                kind = type(defaults[name])
-                is_right = _is_a(value, _NUMBER if kind is float else kind)
-                words = {str: "a text", bool: "true or false"}.get(kind, "a number")
+                words = _WORDS[kind]
+                is_right = _is(value, (int, float) if kind is float else kind)
             if not is_right:
                 raise MissionError(f"{name} in {path} must be {words}")
         return cls(**values)
 
 
-def _is_a(value: object, kind: Any) -> bool:  # noqa: ANN401  # a type or a tuple of types
+def _is(value: object, kind: Any) -> bool:  # noqa: ANN401  # a type or a tuple of types
     return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))

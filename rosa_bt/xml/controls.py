@@ -1,19 +1,18 @@
-"""Controls and decorators, with the semantics of BehaviorTree.CPP 4.10 or Nav2, also where py_trees has their names."""
+"""Controls and decorators, with the semantics of BehaviorTree.CPP 4.10, also where py_trees has their names."""
 
-import sys
-from collections.abc import Mapping
 from contextlib import suppress
+from types import GenericAlias
 from typing import Any, ClassVar, Final
 
+from py_trees.behaviour import Behaviour
 from py_trees.common import Status
-from py_trees.ports import PortInformation
 
-from rosa_bt.xml.blackboard import PortError, converted, truth
+from rosa_bt.xml.blackboard import PortError, Ports
 from rosa_bt.xml.nodes import (
     DONE,
     FAILURE,
-    LEAVES,
     MAX_NODES,
+    ROUNDING_S,
     RUNNING,
     SKIPPED,
     SUCCESS,
@@ -22,147 +21,177 @@ from rosa_bt.xml.nodes import (
     OneChild,
     Slot,
     Ticking,
-    XmlLeaf,
+    port,
 )
 from rosa_bt.xml.scripts import parse_script
+from rosa_bt.xml.values import converted, truth
 
 
-class _InOrder(Control):
+class Sequence(Control):
     """Ticks one child after the other; `current_child` is the next one to tick, None the first.
 
     Attributes:
         goes_on: the outcome of a child after which the next child is ticked.
         is_async: be RUNNING for a tick after a child that ended in its first tick.
-        keeps_place: keep `current_child` also when a child ends the node, and when the node is halted.
+        keeps_place: keep `current_child` also when a child ends the node, and when the node is
+            halted.
     """
 
-    goes_on: ClassVar[Status]
-    is_async: ClassVar = False
-    keeps_place: ClassVar = False
+    goes_on = SUCCESS
+    is_async = False
+    keeps_place = False
+    FORGETS: ClassVar[tuple[str, ...]] = ("_skipped", "current_child")
+    current_child: Behaviour | None = None
     _skipped = 0
-
-    def initialise(self) -> None:
-        self._skipped = 0
-
-    def forget(self) -> None:
-        if not self.keeps_place:
-            self.current_child = None
 
     def decide(self) -> Ticking:
         slots = self.slots
-        start = (
-            self.children.index(self.current_child) if self.current_child in self.children else 0
-        )
-        for index in range(start, len(slots)):
-            slot = slots[index]
+        start = 0
+        if self.current_child in self.children:
+            start = self.children.index(self.current_child)
+        for place, slot in enumerate(slots[start:], start):
             self.current_child = slot.node
             was_idle = slot.status is SKIPPED
             verdict = yield from slot.tick()
-            self._skipped += verdict is SKIPPED
             if verdict is RUNNING:
                 return RUNNING
-            if verdict not in (self.goes_on, SKIPPED):
-                self.forget()
-                for one in slots[index if self.keeps_place else 0 :]:
-                    one.reset()
-                return verdict
-            if self.is_async and was_idle and verdict is not SKIPPED and index + 1 < len(slots):
-                self.current_child = slots[index + 1].node
+            if verdict is SKIPPED:
+                self._skipped += 1
+            elif verdict is not self.goes_on:
+                return self.end(verdict, *(slots[:place] if self.keeps_place else ()))
+            elif self.is_async and was_idle and slot is not slots[-1]:
+                self.current_child = slots[place + 1].node
                 return RUNNING
-        self.reset_children()
+        is_skipped = self._skipped == len(slots)
         self.current_child = None
-        skipped, self._skipped = self._skipped, 0
-        return SKIPPED if skipped == len(slots) else self.goes_on
+        return self.end(SKIPPED if is_skipped else self.goes_on)
 
 
-class Reactive(Control):
-    """Ticks the children from the first in each tick; a running child resets and halts all others."""
+class AsyncSequence(Sequence):
+    """Is RUNNING for a tick after each child."""
 
-    goes_on: ClassVar[Status]
+    is_async = True
+
+
+class SequenceWithMemory(AsyncSequence):
+    """Goes on where it was, also after a failure or a halt."""
+
+    FORGETS = ("_skipped",)
+    keeps_place = True
+
+
+class Fallback(Sequence):
+    """Goes on after a failure."""
+
+    goes_on = FAILURE
+
+
+class AsyncFallback(Fallback):
+    """Is RUNNING for a tick after each child."""
+
+    is_async = True
+
+
+class ReactiveSequence(Control):
+    """Ticks the children from the first in each tick.
+
+    A running child resets and halts all others.
+    """
+
+    goes_on = SUCCESS
+    is_reactive_sequence = True
 
     def decide(self) -> Ticking:
-        skipped, slots = 0, self.slots
-        for slot in slots:
+        skipped = 0
+        for slot in self.slots:
             verdict = yield from slot.tick()
             if verdict is RUNNING:
-                self.reset_children(but=slot)
+                self.reset_children(slot)
                 return RUNNING
             if verdict is SKIPPED:
                 skipped += 1
                 slot.reset()
             elif verdict is not self.goes_on:
                 return self.end(verdict)
-        return self.end(SKIPPED if skipped == len(slots) else self.goes_on)
+        return self.end(SKIPPED if skipped == len(self.children) else self.goes_on)
 
 
-class Together(Control):
-    """Ticks in each tick all children that have not finished."""
+class ReactiveFallback(ReactiveSequence):
+    """Goes on after a failure."""
 
-    is_side_by_side: ClassVar = True
-
-    def _number(self, port: str) -> int:
-        """Return the number of children in a port; a negative number counts from the end: -1 means all children."""
-        said: int = self.ports.get(port)
-        number = said if said >= 0 else max(len(self.children) + said + 1, 0)
-        if number > len(self.children):
-            raise NodeError(
-                f"{self.name!r} has {len(self.children)} children; {port} cannot be more"
-            )
-        return number
-
-    def _ended_with(self, verdict: Status) -> int:
-        return sum(slot.status is verdict for slot in self.slots)
+    goes_on = FAILURE
+    is_reactive_sequence = False
 
 
-class Parallel(Together):
-    """Ends as soon as enough children have succeeded or failed; the others are halted, or no longer ticked."""
+class Parallel(Control):
+    """Ends as soon as enough children have succeeded or failed.
 
-    PORTS: ClassVar = {
-        "success_count": PortInformation(int, default_value=-1),
-        "failure_count": PortInformation(int, default_value=1),
-    }
-
-    def decide(self) -> Ticking:
-        successes, failures = self._number("success_count"), self._number("failure_count")
-        counts_skipped = self.ports.get("success_count") < 0
-        skipped = 0
-        for slot in self.slots:
-            skipped += slot.status not in DONE and (yield from slot.tick()) is SKIPPED
-            succeeded, failed = self._ended_with(SUCCESS), self._ended_with(FAILURE)
-            if succeeded + skipped * counts_skipped >= successes:
-                return self.end(SUCCESS)
-            if len(self.children) - failed < successes or failed == failures:
-                return self.end(FAILURE)
-        return SKIPPED if skipped == len(self.children) else RUNNING
-
-
-class ParallelAll(Together):
-    """Ends when all children have finished: FAILURE if `max_failures` or more of them failed, else SUCCESS."""
-
-    PORTS: ClassVar = {"max_failures": PortInformation(int, default_value=1)}
-
-    def decide(self) -> Ticking:
-        failures = self._number("max_failures")
-        skipped = 0
-        for slot in self.slots:
-            skipped += slot.status not in DONE and (yield from slot.tick()) is SKIPPED
-        failed = self._ended_with(FAILURE)
-        if skipped == len(self.children):
-            return SKIPPED
-        if skipped + failed + self._ended_with(SUCCESS) < len(self.children):
-            return RUNNING
-        return self.end(FAILURE if failed >= failures else SUCCESS)
-
-
-class _Conditional(Control):
-    """Ticks the first child as a condition; if it succeeds, the second child, and if it fails, the third.
-
-    Once it has ended, only the chosen child is ticked; but with `asks_always`, it is ticked in each tick.
+    The others are halted, or no longer ticked.
     """
 
-    CHILDREN = 2, 3
+    PORTS: ClassVar = {"success_count": port(int, -1), "failure_count": port(int, 1)}
+    is_side_by_side = True
+
+    def decide(self) -> Ticking:
+        thresholds = [self._threshold(name) for name in self.PORTS]
+        skipped = 0
+        for slot in self.slots:
+            if slot.status not in DONE:
+                skipped += (yield from slot.tick()) is SKIPPED
+            verdict = self.judge(skipped, *thresholds)
+            if verdict is not None:
+                return self.end(verdict)
+        return SKIPPED if skipped == len(self.children) else RUNNING
+
+    def judge(self, skipped: int, successes: int, failures: int) -> Status | None:
+        """Return the outcome after a child was ticked, None if it is open."""
+        failed = self.count_ended(FAILURE)
+        counted = skipped if self.ports.get("success_count") < 0 else 0
+        if self.count_ended(SUCCESS) + counted >= successes:
+            return SUCCESS
+        is_over = len(self.children) - failed < successes or failed == failures
+        return FAILURE if is_over else None
+
+    def count_ended(self, verdict: Status) -> int:
+        return sum(slot.status is verdict for slot in self.slots)
+
+    def _threshold(self, name: str) -> int:
+        """Return the number of children in a port.
+
+        A negative number counts from the end: -1 means all children.
+        """
+        count = len(self.children)
+        number: int = self.ports.get(name)
+        if number > count:
+            raise NodeError(f"{self.name!r} has {count} children; {name} cannot be more")
+        return number if number >= 0 else max(count + number + 1, 0)
+
+
+class ParallelAll(Parallel):
+    """Ends when all children have finished: FAILURE if `max_failures` or more of them failed, else SUCCESS."""
+
+    PORTS: ClassVar = {"max_failures": port(int, 1)}
+
+    def judge(self, skipped: int, failures: int) -> Status | None:  # type: ignore[override]  # as many as PORTS
+        failed = self.count_ended(FAILURE)
+        ended = failed + self.count_ended(SUCCESS)
+        if not ended or skipped + ended < len(self.children):
+            return None
+        return FAILURE if failed >= failures else SUCCESS
+
+
+class IfThenElse(Control):
+    """Ticks the first child as a condition.
+
+    If it succeeds, the second child, and if it fails, the third.
+
+    Once it has ended, only the chosen child is ticked; but with `asks_always`, it is ticked in each
+    tick.
+    """
+
+    CHILDREN = (2, 3)
     FORGETS = ("_chosen",)
-    asks_always: ClassVar = False
+    asks_always = False
     _chosen = 0
 
     def decide(self) -> Ticking:
@@ -175,73 +204,92 @@ class _Conditional(Control):
                 if self.asks_always:
                     self.reset_children()
                 raise NodeError(
-                    f"the condition of {self.name!r} was skipped, so there is nothing to choose by"
+                    f"the condition of {self.name!r} was skipped: what is to be chosen?"
                 )
             chosen = 1 if verdict is SUCCESS else 2
-            for other in slots[3 - chosen : 4 - chosen] if self.asks_always else ():
-                other.reset()
+            if self.asks_always:
+                self.reset_children(slots[0], *slots[chosen : chosen + 1])
             if chosen == len(
                 slots
-            ):  # IfThenElse leaves the condition finished: an action is not started again
+            ):  # IfThenElse leaves the condition finished: it is not started again
                 return self.end(FAILURE) if self.asks_always else FAILURE
             self._chosen = chosen
         verdict = yield from slots[self._chosen].tick()
         return verdict if verdict is RUNNING else self.end(verdict)
 
 
-class Switch(Control):
-    """Ticks the child whose case equals the variable, or else the last; there is a class for each number of cases."""
+class WhileDoElse(IfThenElse):
+    """Ticks the condition in each tick."""
+
+    asks_always = True
+
+
+class Switch(Control, is_node=False):
+    """Ticks the child whose case equals the variable, or else the last.
+
+    There is a class for each number of cases.
+    """
 
     runs = False
     FORGETS = ("_running",)
     _running: Slot | None = None
 
     def decide(self) -> Ticking:
-        *cases, default = self.slots
-        matching = (
-            slot for number, slot in enumerate(cases, start=1) if self._is(f"case_{number}")
-        )
-        chosen = next(matching, default)
+        *cases, chosen = self.slots
+        for number in range(len(cases), 0, -1):
+            if self._matches(f"case_{number}"):
+                chosen = cases[number - 1]
         if self._running is not None and self._running is not chosen:
             self._running.reset()
         verdict = yield from chosen.tick()
         self._running = chosen if verdict is RUNNING else None
-        if verdict in (SUCCESS, FAILURE):
+        if verdict in DONE:
             self.reset_children()
         return verdict
 
-    def _is(self, case: str) -> bool:
+    def _matches(self, case: str) -> bool:
         """Tell whether a case equals the variable, as a text, or as the numbers at the beginning of both."""
-        if not (self.ports.exists("variable") and self.ports.exists(case)):
+        ports = self.ports
+        if not (ports.exists("variable") and ports.exists(case)):
             return False
-        enums = self.ports.blackboard.enums
-        one, other = (
-            str(enums.get(text, text))
-            for text in (self.ports.get("variable"), self.ports.get(case))
-        )
-        if one == other:
-            return True
-        for kind in (int, float):
+        enums = ports.blackboard.root.enums
+        left, right = (str(enums.get(text, text)) for text in map(ports.get, ("variable", case)))
+        for kind in (str, int, float):
             with suppress(ValueError):
-                if abs(converted(one, kind) - converted(other, kind)) <= sys.float_info.epsilon:
+                if converted(left, kind) == converted(right, kind):
                     return True
         return False
 
 
-class TryCatch(Control):
-    """A sequence of all but the last child; if one fails, the last child is ticked to its end: then FAILURE.
+for _cases in range(2, 7):
+    _ports = ["variable", *(f"case_{number + 1}" for number in range(_cases))]
+    type(
+        f"Switch{_cases}",
+        (Switch,),
+        {
+            "PORTS": {name: port(str, required=False) for name in _ports},
+            "CHILDREN": (_cases + 1, _cases + 1),
+        },
+    )
 
-    With `catch_on_halt`, the last child is also ticked once when the node is halted before a child has failed.
+
+class TryCatch(Control):
+    """A sequence of all but the last child.
+
+    If one fails, the last child is ticked to its end: then FAILURE.
+
+    With `catch_on_halt`, the last child is also ticked once when the node is halted before a child
+    has failed.
     """
 
     CHILDREN = (2, MAX_NODES)
-    PORTS: ClassVar = {"catch_on_halt": PortInformation(bool, default_value=False)}
+    PORTS: ClassVar = {"catch_on_halt": port(bool, False)}
     FORGETS = ("_place", "_skipped")
     _place = 0
     _skipped = 0
 
     def decide(self) -> Ticking:
-        *tried, caught = self.slots
+        *tried, last = self.slots
         while self._place < len(tried):
             verdict = yield from tried[self._place].tick()
             if verdict is RUNNING:
@@ -253,236 +301,98 @@ class TryCatch(Control):
                 self._place = len(self.slots)
             elif self._place == len(tried):
                 return self.end(SKIPPED if self._skipped == len(tried) else SUCCESS)
-        verdict = yield from caught.tick()
+        verdict = yield from last.tick()
         return RUNNING if verdict is RUNNING else self.end(FAILURE)
 
     def stop(self, new_status: Status = Status.INVALID) -> None:
-        *tried, caught = self.slots
-        if self.ports.get("catch_on_halt") and self._place < len(tried):
-            for slot in tried:
-                slot.reset()
-            for _ in caught.tick():
+        last = self.slots[-1]
+        if self.ports.get("catch_on_halt") and self._place < len(self.slots) - 1:
+            self.reset_children(last)
+            for _ in last.tick():
                 pass
         super().stop(new_status)
 
 
-class RecoveryNode(Control):
-    """(Nav2) Ticks the first child; when it fails, the second, then the first again, `number_of_retries` times."""
-
-    CHILDREN = (2, 2)
-    PORTS: ClassVar = {"number_of_retries": PortInformation(int, default_value=1)}
-    FORGETS = ("_retries", "_is_recovering")
-    _retries = 0
-    _is_recovering = False
-
-    def decide(self) -> Ticking:
-        task, recovery = self.slots
-        allowed = self.ports.get("number_of_retries")
-        while self._retries <= allowed:
-            slot = recovery if self._is_recovering else task
-            verdict = yield from slot.tick()
-            if verdict is RUNNING:
-                return RUNNING
-            if slot is task and verdict is FAILURE and self._retries < allowed:
-                self._is_recovering = True
-            elif slot is recovery and verdict in (SUCCESS, SKIPPED):
-                self._is_recovering = False
-            else:
-                return self.end(verdict)
-            slot.reset()
-            if verdict is SKIPPED:
-                return FAILURE
-            self._retries += verdict is SUCCESS
-        return self.end(FAILURE)
-
-
-class PipelineSequence(Control):
-    """(Nav2) A sequence that ticks earlier children again, and goes on even if one of them is RUNNING then."""
-
-    FORGETS = ("_furthest",)
-    _furthest = 0
-
-    def decide(self) -> Ticking:
-        skipped = 0
-        for index, slot in enumerate(self.slots):
-            verdict = yield from slot.tick()
-            skipped += verdict is SKIPPED
-            if verdict is RUNNING and index >= self._furthest:
-                self._furthest = index
-                return RUNNING
-            if verdict is FAILURE:
-                return self.end(FAILURE)
-        return self.end(SKIPPED if skipped == len(self.children) else SUCCESS)
-
-
-class RoundRobin(Control):
-    """(Nav2) Ticks the next child, until one succeeds or all failed; without `wrap_around`, ends at the last.
-
-    As in Nav2 1.5.1, the last child ends it as a failure without `wrap_around`, also by its success.
-    """
-
-    PORTS: ClassVar = {"wrap_around": PortInformation(bool, default_value=False)}
-    FORGETS = ("_next", "_failed")
-    _next = 0
-    _failed = 0
-
-    def decide(self) -> Ticking:
-        slots = self.slots
-        skipped = 0
-        while self._failed + skipped < len(slots):
-            verdict = yield from slots[self._next % len(slots)].tick()
-            if verdict is RUNNING:
-                return RUNNING
-            self._next = (self._next + 1) % len(slots)
-            skipped += verdict is SKIPPED
-            self._failed += verdict is FAILURE
-            if self._next == 0 and not self.ports.get("wrap_around"):
-                break
-            if verdict is SUCCESS:
-                self._failed = 0
-                self.reset_children()
-                return SUCCESS
-        return self.end(SKIPPED if skipped == len(slots) else FAILURE)
-
-
-class NonblockingSequence(Control):
-    """(Nav2) Ticks all children in each tick, until one fails or all have succeeded."""
-
-    runs = False
-
-    def decide(self) -> Ticking:
-        succeeded = 0
-        for slot in self.slots:
-            verdict = yield from slot.tick()
-            if verdict is FAILURE:
-                return self.end(FAILURE)
-            if verdict is SKIPPED:
-                raise NodeError(
-                    f"{slot.node.name!r} was skipped; {self.name!r} cannot skip a child"
-                )
-            succeeded += verdict is SUCCESS
-        return self.end(SUCCESS) if succeeded == len(self.slots) else RUNNING
-
-
-class PersistentSequence(Control):
-    """(Nav2) A sequence that keeps its place on the blackboard, also when it is halted."""
-
-    PORTS: ClassVar = {"current_child_idx": PortInformation(int)}
-
-    def decide(self) -> Ticking:
-        index = self.ports.get("current_child_idx")
-        for slot in self.slots[index:]:
-            verdict = yield from slot.tick()
-            if verdict is RUNNING:
-                return RUNNING
-            index = 0 if verdict is FAILURE else index + 1
-            self.ports.set("current_child_idx", index)
-            if verdict is FAILURE:
-                return self.end(FAILURE)
-        self.ports.set("current_child_idx", 0)
-        return self.end(SUCCESS)
-
-
-class PauseResumeController(Control):
-    """(Nav2) Ticks the first child; while paused, the second; the third on a pause, the fourth on resuming.
-
-    Nav2 pauses and resumes it by two services; here, `pause` and `resume` are called.
-    """
-
-    PORTS: ClassVar = {
-        "pause_service_name": PortInformation(str, required=False),
-        "resume_service_name": PortInformation(str, required=False),
-    }
-    CHILDREN = (1, 4)
-    FORGETS = ("_state", "_has_request")
-    _state = 0  # place of the child that is ticked: 0 resumed, 1 paused, 2 on pause, 3 on resume
-    _has_request = False
-
-    def pause(self) -> bool:
-        """Pause from the next tick on; return False if it is paused already."""
-        if self._state == 1:
-            return False
-        self._state = 2
-        self._has_request = True
-        return True
-
-    def resume(self) -> bool:
-        """Go on from the next tick on; return False if it is not paused."""
-        if self._state != 1:
-            return False
-        self._state = 3
-        self._has_request = True
-        return True
-
-    def initialise(self) -> None:
-        self.forget()
-
-    def decide(self) -> Ticking:
-        if self._has_request:
-            self._has_request = False
-            self.reset_children()
-        state = self._state
-        verdict = RUNNING if state == 1 else SKIPPED
-        if state < len(self.slots):
-            verdict = yield from self.slots[state].tick()
-        if verdict is RUNNING or verdict is FAILURE:
-            return verdict
-        if state == 0:
-            return SUCCESS  # as in Nav2, a finished child is not begun again by the next start
-        self._state = 0 if state == 3 else 1
-        return RUNNING
-
-
-def _switch(cases: int) -> dict[str, Any]:
-    names = ["variable", *(f"case_{number}" for number in range(1, cases + 1))]
-    return {
-        "PORTS": {name: PortInformation(str, required=False) for name in names},
-        "CHILDREN": (cases + 1, cases + 1),
-    }
-
-
-# ---------------------------------------------------------------- decorators
-
-
-class _Translated(OneChild):
+class Translator(OneChild, is_node=False):
     """Returns another outcome for some outcomes of the child."""
 
-    outcomes: ClassVar[dict[Status, Status]]
+    success = SUCCESS
+    failure = FAILURE
+    skipped = SKIPPED
 
     def decide(self) -> Ticking:
         verdict = yield from self.child.tick()
-        return self.outcomes.get(verdict, verdict)
+        outcomes = {SUCCESS: self.success, FAILURE: self.failure, SKIPPED: self.skipped}
+        return outcomes.get(verdict, verdict)
 
 
-class _Again(OneChild):
+class Inverter(Translator):
+    """Returns SUCCESS for FAILURE, and FAILURE for SUCCESS."""
+
+    success = FAILURE
+    failure = SUCCESS
+
+
+class ForceSuccess(Translator):
+    """Returns SUCCESS for FAILURE."""
+
+    failure = SUCCESS
+
+
+class ForceFailure(Translator):
+    """Returns FAILURE for SUCCESS."""
+
+    success = FAILURE
+
+
+class KeepRunningUntilFailure(Translator):
+    """Returns RUNNING for all but FAILURE."""
+
+    success = RUNNING
+    skipped = RUNNING
+
+
+class Repeat(OneChild):
     """Ticks the child a number of times (-1: for ever): again in the same tick if it was RUNNING, else in the next."""
 
-    once_more: ClassVar[Status]
+    PORTS: ClassVar = {"num_cycles": port(int)}
     FORGETS = ("_count",)
+    once_more = SUCCESS
     _count = 0
 
     def decide(self) -> Ticking:
-        child, times = self.child, self.ports.get(*self.PORTS)
+        child = self.child
+        times = self.ports.get(*self.PORTS)
         while times == -1 or self._count < times:
             was_idle = child.status is SKIPPED
             verdict = yield from child.tick()
             if verdict is RUNNING:
                 return RUNNING
             child.reset()
+            if verdict is SKIPPED:
+                return SKIPPED
             if verdict is not self.once_more:
-                self._count = self._count if verdict is SKIPPED else 0
-                return verdict
+                return self.end(verdict)
             self._count += 1
-            if was_idle and (times == -1 or self._count < times):
+            if was_idle and self._count != times:
                 return RUNNING
-        self._count = 0
-        return self.once_more
+        return self.end(self.once_more)
+
+
+class RetryUntilSuccessful(Repeat):
+    """Ticks the child again after a failure."""
+
+    PORTS: ClassVar = {"num_attempts": port(int)}
+    once_more = FAILURE
 
 
 class RunOnce(OneChild):
-    """Ticks the child to its end, once; after that it is skipped, or with then_skip="false" returns that outcome."""
+    """Ticks the child to its end, once.
 
-    PORTS: ClassVar = {"then_skip": PortInformation(bool, default_value=True)}
+    After that it is skipped, or with then_skip="false" returns that outcome.
+    """
+
+    PORTS: ClassVar = {"then_skip": port(bool, True)}
     _outcome = SKIPPED
 
     @property
@@ -499,25 +409,24 @@ class RunOnce(OneChild):
         return SKIPPED
 
 
-class Timed(OneChild):
+class Timed(OneChild, is_node=False):
     """A decorator with a duration, its only port, which counts from the tick in which it starts."""
 
     FORGETS: ClassVar[tuple[str, ...]] = ("_since",)
     _since: float | None = None
 
-    def prepare(self) -> None:
-        (port,) = self.PORTS
-        if port in self.ports.literals and self.ports.get(port) < 0:
-            raise PortError(
-                f"the port {port!r} takes no negative number such as {self.ports.get(port)}"
-            )
+    def prepare(self, ports: Ports) -> None:
+        super().prepare(ports)
+        for name in ports.literals:
+            if ports.get(name) < 0:
+                raise PortError(f"the port {name!r} takes no negative number")
 
     def is_over(self) -> bool:
         """Start the time if it is not started, and tell whether it is over."""
         now = self.ports.blackboard.clock()
         if self._since is None:
             self._since = now
-        return bool(now - self._since >= self.ports.get(*self.PORTS) / 1000 - 1e-9)
+        return bool(now - self._since >= self.ports.get(*self.PORTS) / 1000 - ROUNDING_S)
 
     def tick_child(self) -> Ticking:
         verdict = yield from self.child.tick()
@@ -529,7 +438,7 @@ class Timed(OneChild):
 class Delay(Timed):
     """Is RUNNING for `delay_msec` [ms]; then ticks the child."""
 
-    PORTS: ClassVar = {"delay_msec": PortInformation(int)}
+    PORTS: ClassVar = {"delay_msec": port(int)}
 
     def decide(self) -> Ticking:
         return (yield from self.tick_child()) if self.is_over() else RUNNING
@@ -538,7 +447,7 @@ class Delay(Timed):
 class Timeout(Timed):
     """Halts the child, and fails, if it is RUNNING after `msec` [ms]; 0 is no limit."""
 
-    PORTS: ClassVar = {"msec": PortInformation(int)}
+    PORTS: ClassVar = {"msec": port(int)}
     FORGETS = ("_since", "_is_spent")
     _is_spent = False
 
@@ -551,35 +460,38 @@ class Timeout(Timed):
 
 
 class Precondition(OneChild):
-    """Ticks the child if the script `if` is true; else returns `else`. Once the child runs, `if` is not asked."""
+    """Ticks the child if the script `if` is true; else returns `else`.
 
-    PORTS: ClassVar = {
-        "if": PortInformation(str),
-        "else": PortInformation(Status, default_value=FAILURE),
-    }
+    Once the child runs, `if` is not asked.
+    """
+
+    PORTS: ClassVar = {"if": port(str), "else": port(Status, FAILURE)}
     runs = False
     _is_begun = False
 
-    def prepare(self) -> None:
-        self._condition = parse_script(self.ports.get("if"))
+    def prepare(self, ports: Ports) -> None:
+        super().prepare(ports)
+        self._condition = parse_script(ports.get("if"))
 
     def decide(self) -> Ticking:
         instead: Status = self.ports.get("else")  # a wrong outcome raises in the first tick
-        self._is_begun = self._is_begun or truth(self._condition(self.ports.blackboard))
-        if not self._is_begun:
+        if not (self._is_begun or truth(self._condition(self.ports.blackboard))):
             return instead
         verdict = yield from self.child.tick()
         self._is_begun = verdict not in DONE
         return verdict
 
 
-class _Updated(OneChild):
-    """Ticks the child to its end each time that an entry was written; otherwise SKIPPED or RUNNING."""
+class SkipUnlessUpdated(OneChild):
+    """Ticks the child to its end each time that an entry was written.
 
-    PORTS: ClassVar = {"entry": PortInformation(object)}
+    Otherwise returns `instead`.
+    """
+
+    PORTS: ClassVar = {"entry": port(object)}
     FORGETS = ("_goes_on",)
     runs = False
-    instead: ClassVar[Status]
+    instead = SKIPPED
     _goes_on = False
 
     def decide(self) -> Ticking:
@@ -590,25 +502,34 @@ class _Updated(OneChild):
         return verdict
 
 
-class _Loop(OneChild):
-    """Runs the child once for each element of a queue, one per tick; returns `if_empty` in the tick after the last."""
+class WaitValueUpdate(SkipUnlessUpdated):
+    """Is RUNNING until the entry was written."""
 
-    of: ClassVar[type]
+    instead = RUNNING
+
+
+class Loop(OneChild, is_node=False):
+    """Runs the child once for each element of a queue, one per tick.
+
+    Returns `if_empty` in the tick after the last.
+    """
+
     FORGETS = ("_goes_on",)
     runs = False
     _goes_on = False
     _left: tuple[Any, ...] = ()
 
-    def prepare(self) -> None:
-        if "queue" in self.ports.literals:
-            self._queue()
-
-    def _queue(self) -> tuple[Any, ...]:
-        found = self.ports.get("queue")
-        return tuple(converted(found, list[self.of]) if isinstance(found, str) else found)  # type: ignore[name-defined]  # a class attribute as an argument of list
+    def prepare(self, ports: Ports) -> None:
+        super().prepare(ports)
+        if "queue" in ports.literals:
+            self.initialise()  # raises if an element is wrong
 
     def initialise(self) -> None:
-        self._goes_on, self._left = False, self._queue()
+        self._goes_on = False
+        queue = self.ports.get("queue")
+        if isinstance(queue, str):
+            queue = converted(queue, GenericAlias(list, self.PORTS["value"].data_type))
+        self._left = tuple(queue)
 
     def decide(self) -> Ticking:
         if not self._goes_on:
@@ -622,119 +543,7 @@ class _Loop(OneChild):
         return FAILURE if verdict is FAILURE else RUNNING
 
 
-class _Anew(OneChild):
-    """(Nav2) Ticks the child while it is RUNNING, and when it is due: at the start, or as a subclass says."""
-
-    instead: ClassVar = RUNNING
-    _is_due = True
-
-    def initialise(self) -> None:
-        self._is_due = True
-
-    def decide(self) -> Ticking:
-        if not self._is_due and self.child.status is not RUNNING:
-            return self.instead
-        self._is_due = False
-        return (yield from self.child.tick())
-
-
-class RateController(_Anew, Timed):
-    """Ticks the child at the start, while it is RUNNING, and 1 / `hz` [s] after it succeeded."""
-
-    PORTS: ClassVar = {"hz": PortInformation(float, default_value=10.0)}
-
-    def initialise(self) -> None:
-        super().initialise()
-        self._since = self.ports.blackboard.clock()
-
-    def decide(self) -> Ticking:
-        if self._since is not None and not self._is_due and self.child.status is not RUNNING:
-            self._is_due = (self.ports.blackboard.clock() - self._since) * self.ports.get(
-                "hz"
-            ) >= 1 - 1e-9
-        verdict = yield from super().decide()
-        if verdict is SUCCESS:
-            self._since = self.ports.blackboard.clock()
-        return verdict
-
-
-class SingleTrigger(_Anew):
-    """Ticks the child to its end, once until this node is reset; FAILURE after that."""
-
-    instead = FAILURE
-
-    def decide(self) -> Ticking:
-        verdict = yield from super().decide()
-        self._is_due = verdict not in DONE
-        return verdict
-
-
-class GoalUpdatedController(_Anew):
-    """Ticks the child at the start, while it is RUNNING, and when `goal` or `goals` has changed."""
-
-    PORTS: ClassVar = {name: PortInformation(object, required=False) for name in ("goal", "goals")}
-    _known: object = None
-
-    def initialise(self) -> None:
-        super().initialise()
-        self._known = self._goals()
-
-    def decide(self) -> Ticking:
-        known, self._known = self._known, self._goals()
-        self._is_due |= known != self._known
-        return (yield from super().decide())
-
-    def _goals(self) -> list[object]:
-        """Return the values of the ports; of one that is not written, the key of its name."""
-        board = self.ports.blackboard
-        return [board.get(self.ports.keys.get(name, name)) for name in self.PORTS]
-
-
 _LOOPS: Final = {"Int": int, "Double": float, "Bool": bool, "String": str}
-
-
-def _loop(of: type) -> dict[str, Any]:
-    ports = {"queue": PortInformation(object), "value": PortInformation(of, required=False)}
-    return {
-        "of": of,
-        "PORTS": {**ports, "if_empty": PortInformation(Status, default_value=SUCCESS)},
-    }
-
-
-_KINDS: Final[dict[str, tuple[type[Control | OneChild], dict[str, Any]]]] = {
-    "Sequence": (_InOrder, {"goes_on": SUCCESS}),
-    "AsyncSequence": (_InOrder, {"goes_on": SUCCESS, "is_async": True}),
-    "SequenceWithMemory": (_InOrder, {"goes_on": SUCCESS, "is_async": True, "keeps_place": True}),
-    "ReactiveSequence": (Reactive, {"goes_on": SUCCESS, "is_reactive_sequence": True}),
-    "Fallback": (_InOrder, {"goes_on": FAILURE}),
-    "AsyncFallback": (_InOrder, {"goes_on": FAILURE, "is_async": True}),
-    "ReactiveFallback": (Reactive, {"goes_on": FAILURE}),
-    **{kind.__name__: (kind, {}) for kind in (Parallel, ParallelAll, TryCatch)},
-    **{kind.__name__: (kind, {}) for kind in (RecoveryNode, PipelineSequence, RoundRobin)},
-    **{kind.__name__: (kind, {}) for kind in (NonblockingSequence, PersistentSequence)},
-    "PauseResumeController": (PauseResumeController, {}),
-    "IfThenElse": (_Conditional, {}),
-    "WhileDoElse": (_Conditional, {"asks_always": True}),
-    **{f"Switch{cases}": (Switch, _switch(cases)) for cases in range(2, 7)},
-    "Inverter": (_Translated, {"outcomes": {SUCCESS: FAILURE, FAILURE: SUCCESS}}),
-    "ForceSuccess": (_Translated, {"outcomes": {FAILURE: SUCCESS}}),
-    "ForceFailure": (_Translated, {"outcomes": {SUCCESS: FAILURE}}),
-    "KeepRunningUntilFailure": (_Translated, {"outcomes": {SUCCESS: RUNNING, SKIPPED: RUNNING}}),
-    "Repeat": (_Again, {"once_more": SUCCESS, "PORTS": {"num_cycles": PortInformation(int)}}),
-    "RetryUntilSuccessful": (
-        _Again,
-        {"once_more": FAILURE, "PORTS": {"num_attempts": PortInformation(int)}},
-    ),
-    **{kind.__name__: (kind, {}) for kind in (RunOnce, Delay, Timeout, Precondition)},
-    **{
-        kind.__name__: (kind, {}) for kind in (RateController, SingleTrigger, GoalUpdatedController)
-    },
-    "SkipUnlessUpdated": (_Updated, {"instead": SKIPPED}),
-    "WaitValueUpdate": (_Updated, {"instead": RUNNING}),
-    **{f"Loop{name}": (_Loop, _loop(of)) for name, of in _LOOPS.items()},
-}
-NODES: Final[Mapping[str, type[Control | OneChild | XmlLeaf]]] = {
-    **{tag: type(tag, (base,), how) for tag, (base, how) in _KINDS.items()},
-    **LEAVES,
-}
-"""The nodes of BehaviorTree.CPP and Nav2 by their tags, but for SubTree."""
+for _name, _kind in _LOOPS.items():
+    _queue = {"queue": port(object), "value": port(_kind, required=False)}
+    type(f"Loop{_name}", (Loop,), {"PORTS": {**_queue, "if_empty": port(Status, SUCCESS)}})

@@ -12,7 +12,7 @@ from rosa_bt.exceptions import XmlError
 MAX_SIZE: Final = 1_000_000
 """Greatest size of a file or text [bytes]."""
 MAX_DEPTH: Final = 100
-"""Most levels of elements in a file, and of nodes in a tree with all its subtrees."""
+"""Most levels of nodes in a tree with all its subtrees, and of files that include each other."""
 EXPLICIT: Final = ("Action", "Condition", "Control", "Decorator")
 """Tags of elements whose ID is the name of the node."""
 
@@ -39,6 +39,9 @@ class Element(ElementTree.Element):
     def children(self) -> list["Element"]:
         return list(self)  # type: ignore[arg-type]  # the builder makes elements of this class
 
+    def descendants(self, tag: str) -> list["Element"]:
+        return list(self.iter(tag))  # type: ignore[arg-type]  # as above
+
     @property
     def ports(self) -> dict[str, str]:
         names = [name for name in self.keys() if name not in ("name", "ID") and name[:1] != "_"]
@@ -55,23 +58,20 @@ class Element(ElementTree.Element):
 
 def read_file(path: Path, where: str) -> bytes:
     """Return the content of a file; `where` is what asks for it."""
-    is_path = where.isprintable() and len(where) <= 200
     try:
         with path.open("rb") as file:
             return file.read(MAX_SIZE + 1)
     except (OSError, ValueError) as error:
-        problem = getattr(error, "strerror", None) or error
-        raise XmlError(
-            where if is_path else "<text>",
-            f"there is no file {f'{path!s:.200}'!r} that can be read ({problem}); "
-            "give the path of one, or the XML itself as text",
-        ) from None
+        problem = f"there is no file {str(path)[:200]!r} that can be read"
+        advice = "give the path of one, or the XML itself as text"
+        raise XmlError(where, f"{problem}; {advice}") from error
 
 
 def parse(text: str | bytes, file: str, note: Note) -> Element:
     """Return the outermost element.
 
-    A text that BehaviorTree.CPP reads, though it is no XML, is read with a note: raw `&&` and `<` in
+    A text that BehaviorTree.CPP reads, though it is no XML, is read with a note: raw `&&` and `<`
+        in
     attributes, `--` in comments, and blanks before the declaration.
     """
     if len(text) > MAX_SIZE:
@@ -98,35 +98,23 @@ def parse(text: str | bytes, file: str, note: Note) -> Element:
 def _parse_strictly(text: str | bytes, file: str) -> Element:
     parser = ParserCreate()
     builder = ElementTree.TreeBuilder(element_factory=Element)
-    depth = 0
 
     def where() -> str:
         return f"{file}:{parser.CurrentLineNumber}"
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal depth
-        depth += 1
-        if depth > MAX_DEPTH + 3:  # the root, the tree and the contents of models are not nodes
-            raise XmlError(where(), f"more than {MAX_DEPTH} nested elements; use SubTree")
         builder.start(tag, attributes).where = where()  # type: ignore[attr-defined]  # made by its factory
-
-    def end(tag: str) -> None:
-        nonlocal depth
-        depth -= 1
-        builder.end(tag)
 
     def refuse(*declaration: object) -> None:  # entities are declared in document types only
         raise XmlError(where(), "a document type or entity is not read; write values out")
 
     parser.StartElementHandler = start
-    parser.EndElementHandler = end
+    parser.EndElementHandler = builder.end
     parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(text, True)
-        return builder.close()  # type: ignore[return-value]  # made by its factory
     except XmlError:
         raise
-    except ExpatError as error:
-        raise XmlError(f"{file}:{error.lineno}", f"it is no XML: {error}") from None
-    except (ValueError, LookupError) as error:
-        raise XmlError(where(), f"it cannot be decoded: {error}") from None
+    except (ExpatError, ValueError, LookupError) as error:
+        raise XmlError(where(), f"it is no XML: {error}") from None
+    return builder.close()  # type: ignore[return-value]  # made by its factory

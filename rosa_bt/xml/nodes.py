@@ -1,14 +1,15 @@
 """The base classes of BehaviorTree.CPP's nodes, the slot that holds a child, and the leaves.
 
-A behaviour of py_trees has one status. BehaviorTree.CPP needs more: a child that has finished stays finished until its
-parent resets it, a skipped node is idle, and only a RUNNING node is halted. A `Slot` keeps this status for each child,
-so that the children can be plain behaviours of py_trees. SKIPPED and IDLE are INVALID here, since py_trees has no other
-status for them.
+A behaviour of py_trees has one status. BehaviorTree.CPP needs more: a child that has finished stays
+    finished until its
+parent resets it, a skipped node is idle, and only a RUNNING node is halted. A `Slot` keeps this
+status for each child, so that the children can be plain behaviours of py_trees. SKIPPED and IDLE
+are INVALID here, since py_trees has no other status for them.
 """
 
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -18,8 +19,9 @@ from py_trees.ports import PortInformation
 
 from rosa_bt.behaviours import RosaAction
 from rosa_bt.exceptions import RosaBtError
-from rosa_bt.xml.blackboard import EMPTY, Blackboard, Declared, Entry, Ports, as_text, truth
-from rosa_bt.xml.scripts import ParsedScript, parse_script
+from rosa_bt.xml.blackboard import Blackboard, Declared, Entry, Ports
+from rosa_bt.xml.scripts import parse_script
+from rosa_bt.xml.values import EMPTY, as_text, truth
 
 SUCCESS: Final = Status.SUCCESS
 FAILURE: Final = Status.FAILURE
@@ -28,6 +30,7 @@ SKIPPED: Final = Status.INVALID
 DONE: Final = (SUCCESS, FAILURE)
 MAX_NODES: Final = 10_000
 """Most nodes in one tree with all its subtrees, and so also most children of a node."""
+ROUNDING_S: Final = 1e-9
 
 Ticking = Generator[Behaviour, None, Status]
 """Yields the nodes that are visited, as `tick` of py_trees does, and returns the outcome."""
@@ -37,25 +40,34 @@ class NodeError(RosaBtError, RuntimeError):
     """A node cannot do what it is given; BehaviorTree.CPP throws a LogicError in this case."""
 
 
-@dataclass(frozen=True)
+INSTEAD: Final = {"_failureIf": FAILURE, "_successIf": SUCCESS, "_skipIf": SKIPPED}
+"""Pre-conditions that are asked before a node starts, with its outcome if they hold."""
+RULES: Final = (*INSTEAD, "_while", "_onHalted", "_onFailure", "_onSuccess", "_post")
+
+
 class Rules:
-    """Pre- and post-conditions of a node, by attribute, e.g. `_skipIf`, and the blackboard that they use."""
+    """Pre- and post-conditions of a node, by attribute, e.g.
 
-    blackboard: Blackboard
-    scripts: Mapping[str, ParsedScript]
-    written: Mapping[str, str]
+    `_skipIf`, and the blackboard that they use.
+    """
 
-    INSTEAD: ClassVar = {"_failureIf": FAILURE, "_successIf": SUCCESS, "_skipIf": SKIPPED}
-    NAMES: ClassVar = (*INSTEAD, "_while", "_onHalted", "_onFailure", "_onSuccess", "_post")
+    def __init__(self, blackboard: Blackboard, written: Mapping[str, str]) -> None:
+        self.blackboard = blackboard
+        self.scripts = {name: parse_script(text) for name, text in written.items()}
+
+    def holds(self, name: str, otherwise: bool) -> bool:
+        """Return whether a condition holds; `otherwise` if the node has no such condition."""
+        return truth(self.scripts[name](self.blackboard)) if name in self.scripts else otherwise
 
     def outcome(self, status: Status) -> Status | None:
-        """Return the outcome that a pre-condition sets for a node of this status; None if the node is to be ticked."""
-        for name, verdict in self.INSTEAD.items() if status is SKIPPED else ():
-            if name in self.scripts and truth(self.scripts[name](self.blackboard)):
+        """Return the outcome that a pre-condition sets for a node of this status.
+
+        None if the node is to be ticked.
+        """
+        for name, verdict in INSTEAD.items() if status is SKIPPED else ():
+            if self.holds(name, False):
                 return verdict
-        if status in (SKIPPED, RUNNING) and "_while" in self.scripts:
-            return None if truth(self.scripts["_while"](self.blackboard)) else SKIPPED
-        return None
+        return None if status in DONE or self.holds("_while", True) else SKIPPED
 
     def follow(self, *names: str) -> None:
         for name in names:
@@ -69,7 +81,8 @@ class Slot:
 
     node: Behaviour
     is_condition: bool = False
-    """Whether it is a leaf that is ticked again after it has finished; other leaves stay finished until a reset."""
+    """Whether it is a leaf that is ticked again after it has finished; other leaves stay finished
+    until a reset."""
     source: tuple[str, Mapping[str, str]] | None = None
     """Tag and attributes of its element; None for a behaviour that was inserted later."""
     rules: Rules | None = None
@@ -93,10 +106,10 @@ class Slot:
             verdict = node.status
             if verdict is not SKIPPED:  # a skipped node keeps its status until it is reset
                 self.status = verdict
-        elif self.is_condition or self.status not in DONE:
-            yield from node.tick()
-            verdict = self.status = node.status
         else:
+            if self.is_condition or self.status not in DONE:
+                yield from node.tick()
+                self.status = node.status
             verdict = self.status
         if self.rules and verdict in DONE:
             self.rules.follow("_onSuccess" if verdict is SUCCESS else "_onFailure", "_post")
@@ -112,17 +125,46 @@ class Slot:
         self.status = SKIPPED
 
     def wipe(self) -> None:
-        """Clear the behaviour's own status after a reset; until the next tick, pictures show the last outcome."""
+        """Clear the behaviour's own status after a reset.
+
+        Until the next tick, pictures show the last outcome.
+        """
         if self.status is SKIPPED and self.node.status in DONE:
             self.node.status = Status.INVALID
 
 
-class XmlNode(Behaviour):
-    """A node of BehaviorTree.CPP with children: made of a name, the places of its children and its ports."""
+def port(data_type: Any, default: object = None, *, required: bool = True) -> PortInformation:  # noqa: ANN401  # a type
+    return PortInformation(data_type, required, "", default)
+
+
+NODES: Final[dict[str, type["Named"]]] = {}
+"""The nodes of BehaviorTree.CPP and Nav2 by their tags, but for SubTree."""
+
+
+class Named(Behaviour):
+    """A node of a file; each subclass is the node of its name, unless it is said to be none."""
 
     PORTS: ClassVar[Declared] = {}
-    CHILDREN: ClassVar[tuple[int, int]] = (1, MAX_NODES)
+    CHILDREN: ClassVar[tuple[int, int]] = (0, 0)
     """Least and greatest number of children."""
+    ports: Ports
+
+    def __init_subclass__(cls, *, is_node: bool = True) -> None:
+        if is_node:
+            NODES[cls.__name__] = cls
+
+    def __init__(self, name: str, slots: Sequence[Slot]) -> None:
+        super().__init__(name)
+
+    def prepare(self, ports: Ports) -> None:
+        """Take the ports; raise if a literal is wrong. Called when the node is made."""
+        self.ports = ports
+
+
+class XmlNode(Named, is_node=False):
+    """A node with children: made of a name and the places of its children."""
+
+    CHILDREN = (1, MAX_NODES)
     FORGETS: ClassVar[tuple[str, ...]] = ()
     """Names of attributes that return to the value in the class when the node ends or is halted."""
     runs = True
@@ -130,34 +172,26 @@ class XmlNode(Behaviour):
     keeps_finished: ClassVar = True
     """Whether a finished child stays finished after the tick; in a decorator it becomes idle."""
 
-    def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
+    def __init__(self, name: str, slots: Sequence[Slot]) -> None:
         nodes = [slot.node for slot in slots]
-        super().__init__(name, nodes[0] if isinstance(self, Decorator) else nodes)  # type: ignore[call-arg]  # of py_trees'
-        self._slots, self._seen, self.ports = list(slots), nodes, ports
-        self.prepare()
+        self._slots = list(slots)
+        if isinstance(self, Decorator):
+            Decorator.__init__(self, name, nodes[0])
+        elif isinstance(self, Composite):
+            Composite.__init__(self, name, nodes)
 
     @property
     def slots(self) -> list[Slot]:
-        """The slots of the children; a child that replaced another one has the rules of that one."""
-        if self._seen != self.children:
-            known = {slot.node: slot for slot in self._slots}
-            is_same = len(self._slots) == len(self.children)
-            left = [
-                slot.rules if is_same and slot.node not in self.children else None
-                for slot in self._slots
-            ]
+        """The slots of the children; a child that was inserted later has no rules."""
+        if [slot.node for slot in self._slots] != self.children:
+            by_node = {slot.node: slot for slot in self._slots}
             self._slots = [
-                known.get(child)
-                or Slot(child, is_plain(child), None, left[place] if is_same else None)
-                for place, child in enumerate(self.children)
+                by_node.get(child) or Slot(child, is_plain(child)) for child in self.children
             ]
-            self._seen = list(self.children)
         return self._slots
 
-    def prepare(self) -> None:
-        """Raise if a literal is wrong; called when the node is made."""
-
     def decide(self) -> Ticking:
+        """Do the work of one tick."""
         raise NotImplementedError
 
     def forget(self) -> None:
@@ -182,30 +216,30 @@ class XmlNode(Behaviour):
         self.status = self.end(new_status)
         self.iterator = self.tick()
 
-    def end(self, verdict: Status) -> Status:
+    def end(self, verdict: Status, *kept: Slot) -> Status:
         """Forget the state, make every child idle, halt those that are RUNNING, and return the outcome."""
         self.forget()
-        self.reset_children()
+        self.reset_children(*kept)
         return verdict
 
-    def reset_children(self, but: Slot | None = None) -> None:
+    def reset_children(self, *kept: Slot) -> None:
         for slot in self.slots:
-            if slot is not but:
+            if slot not in kept:
                 slot.reset()
 
 
-class Control(XmlNode, Composite):
+class Control(XmlNode, Composite, is_node=False):
     """A node with several children."""
 
     def tip(self) -> Behaviour | None:
         """Return the node that decided the outcome: the tip of the last child that has the same outcome."""
         deciding = [child for child in self.children if child.status is self.status]
-        return (
-            deciding[-1].tip() if deciding and self.status is not SKIPPED else Behaviour.tip(self)
-        )
+        if deciding and self.status is not SKIPPED:
+            return deciding[-1].tip()
+        return Behaviour.tip(self)
 
 
-class OneChild(XmlNode, Decorator):
+class OneChild(XmlNode, Decorator, is_node=False):
     """A node with one child."""
 
     CHILDREN = (1, 1)
@@ -215,47 +249,44 @@ class OneChild(XmlNode, Decorator):
     def child(self) -> Slot:
         return self.slots[0]
 
-
-class Branch(OneChild):
-    """Ticks its child; a root for callers that know no slots: of a whole tree, or in a decorator of the user."""
-
     def decide(self) -> Ticking:
         return (yield from self.child.tick())
+
+
+class Branch(OneChild, is_node=False):
+    """Ticks its child; a root for callers that know no slots: of a whole tree, or in a decorator of the user."""
 
 
 def is_plain(leaf: Behaviour | type[Behaviour]) -> bool:
     """Tell whether a leaf has neither `initialise` nor `terminate`: it keeps nothing, so it is a condition."""
     kind = leaf if isinstance(leaf, type) else type(leaf)
-    begins_or_ends = (kind.initialise, kind.terminate) != (
-        Behaviour.initialise,
-        Behaviour.terminate,
-    )
-    has_children = isinstance(leaf, Behaviour) and bool(leaf.children)
-    return not (begins_or_ends or has_children or issubclass(kind, RosaAction))
+    if kind.initialise is not Behaviour.initialise or kind.terminate is not Behaviour.terminate:
+        return False
+    return not (getattr(leaf, "children", ()) or issubclass(kind, RosaAction))
 
 
-class XmlLeaf(Behaviour):
-    """A leaf of BehaviorTree.CPP; its constructor has the arguments of other nodes, but `slots` is empty."""
+class AlwaysSuccess(Named):
+    """Returns SUCCESS."""
 
-    PORTS: ClassVar[Declared] = {}
-    CHILDREN: ClassVar = (0, 0)
-
-    def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
-        super().__init__(name)
-        self.ports = ports
-        self.prepare()
-
-    def prepare(self) -> None:
-        """Raise if a literal is wrong; called when the leaf is made."""
+    def update(self) -> Status:
+        return Status.SUCCESS
 
 
-class Script(XmlLeaf):
+class AlwaysFailure(Named):
+    """Returns FAILURE."""
+
+    def update(self) -> Status:
+        return Status.FAILURE
+
+
+class Script(Named):
     """Runs a script; then SUCCESS."""
 
-    PORTS: ClassVar = {"code": PortInformation(str)}
+    PORTS: ClassVar = {"code": port(str)}
 
-    def prepare(self) -> None:
-        code = self.ports.get("code")
+    def prepare(self, ports: Ports) -> None:
+        super().prepare(ports)
+        code = ports.get("code")
         self.script = parse_script(code) if code else lambda board: EMPTY
 
     def update(self) -> Status:
@@ -270,92 +301,73 @@ class ScriptCondition(Script):
         return Status.SUCCESS if truth(self.script(self.ports.blackboard)) else Status.FAILURE
 
 
-class SetBlackboard(XmlLeaf):
+class SetBlackboard(Named):
     """Writes a text, converted to the declared type of the entry, or copies the value of another key.
 
-    As in BehaviorTree.CPP, if no type is declared, the first text empties the entry, and the second raises.
+    As in BehaviorTree.CPP, if no type is declared, the first text empties the entry, and the second
+    raises.
     """
 
-    PORTS: ClassVar = {"value": PortInformation(object), "output_key": PortInformation(object)}
+    PORTS: ClassVar = {"value": port(object), "output_key": port(object)}
 
     def update(self) -> Status:
-        board, key, source = (
-            self.ports.blackboard,
-            as_text(self.ports.get("output_key")),
-            self.ports.keys.get("value"),
-        )
-        given = Entry(str(self.ports.get("value")), str) if source is None else board.entry(source)
-        if given is None or given.value is EMPTY:
+        ports = self.ports
+        board = ports.blackboard
+        key = as_text(ports.get("output_key"))
+        source = Entry(str(ports.literals.get("value")), str)
+        if "value" in ports.keys:
+            source = board.entry(ports.keys["value"]) or Entry()
+        value = source.value
+        entry = board.entry(key)
+        if value is EMPTY:
             board.make(key)
             return Status.FAILURE
-        entry = board.entry(key)
         if entry is None:
-            board.make(key, given.declared).put(given.value)
-        elif isinstance(given.value, str) and entry.declared is None and not entry.takes_any:
+            board.make(key, source.declared).put(value)
+        elif isinstance(value, str) and (entry.declared is not None or entry.takes_any):
+            entry.take(value)
+        elif isinstance(value, str):
             if entry.is_emptied or entry.value is EMPTY:
                 raise NodeError(
-                    f"{key!r} has no declared type, so the type of {given.value!r} is unknown"
+                    f"{key!r} has no declared type, so the type of {value!r} is unknown"
                 )
             entry.is_emptied = True
             entry.put(EMPTY)
-        elif isinstance(given.value, str):
-            entry.take(given.value)
-        elif entry.takes_any or entry.declared in (None, given.declared, type(given.value)):
-            entry.put(given.value)
+        elif entry.takes_any or entry.declared in (None, source.declared, type(value)):
+            entry.put(value)
         else:
-            raise NodeError(
-                f"{key!r} is declared as {entry.declared}, so {given.value!r} cannot be copied there"
-            )
+            raise NodeError(f"{key!r} is {entry.declared}, so {value!r} cannot be copied there")
         return Status.SUCCESS
 
 
-class UnsetBlackboard(XmlLeaf):
+class UnsetBlackboard(Named):
     """Removes a key from the blackboard of its own tree."""
 
-    PORTS: ClassVar = {"key": PortInformation(str)}
+    PORTS: ClassVar = {"key": port(str)}
 
     def update(self) -> Status:
         self.ports.blackboard.unset(self.ports.get("key"))
         return Status.SUCCESS
 
 
-class WasEntryUpdated(XmlLeaf):
+class WasEntryUpdated(Named):
     """SUCCESS if an entry was written since the last tick of this leaf, else FAILURE."""
 
-    PORTS: ClassVar = {"entry": PortInformation(object)}
+    PORTS: ClassVar = {"entry": port(object)}
 
     def update(self) -> Status:
         return Status.SUCCESS if self.ports.is_updated("entry") else Status.FAILURE
 
 
-class Sleep(XmlLeaf):
+class Sleep(Named):
     """RUNNING for `msec` [ms], then SUCCESS."""
 
-    PORTS: ClassVar = {"msec": PortInformation(int)}
+    PORTS: ClassVar = {"msec": port(int)}
 
     def initialise(self) -> None:
         self._since = self.ports.blackboard.clock()
 
     def update(self) -> Status:
-        is_over = (
-            self.ports.blackboard.clock() - self._since >= self.ports.get("msec") / 1000 - 1e-9
-        )
+        elapsed = self.ports.blackboard.clock() - self._since
+        is_over = elapsed >= self.ports.get("msec") / 1000 - ROUNDING_S
         return Status.SUCCESS if is_over else Status.RUNNING
-
-
-_KINDS: Final[list[type[XmlLeaf]]] = [
-    Script,
-    ScriptCondition,
-    SetBlackboard,
-    Sleep,
-    UnsetBlackboard,
-    WasEntryUpdated,
-]
-_CONSTANT: Final = {"AlwaysSuccess": Status.SUCCESS, "AlwaysFailure": Status.FAILURE}
-LEAVES: Final[dict[str, type[XmlLeaf]]] = {
-    **{
-        tag: type(tag, (XmlLeaf,), {"update": lambda self, always=always: always})
-        for tag, always in _CONSTANT.items()
-    },
-    **{kind.__name__: kind for kind in _KINDS},
-}

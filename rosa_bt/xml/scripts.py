@@ -1,22 +1,24 @@
-"""Scripts of BehaviorTree.CPP 4.10: `a := 1; b = a > 2 ? 'x' .. a : 'y'`; all arithmetic and logic give doubles."""
+"""Scripts of BehaviorTree.CPP 4.10: `a := 1; b = a > 2 ? 'x' .. a : 'y'`.
+
+All arithmetic and logic give doubles.
+"""
 
 import math
 import operator
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
-from rosa_bt.xml.blackboard import (
+from rosa_bt.xml.blackboard import Blackboard
+from rosa_bt.xml.values import (
     EMPTY,
-    Blackboard,
     ScriptError,
+    Value,
     as_text,
     begun,
     double,
     fit,
     is_number,
-    number_in,
     truth,
     whole,
 )
@@ -24,156 +26,151 @@ from rosa_bt.xml.blackboard import (
 if TYPE_CHECKING:
     from lark import Lark
 
-ParsedScript = Callable[[Blackboard], Any]
+ParsedScript = Callable[[Blackboard], Value]
 """Runs a script on a blackboard, and returns the value of its last statement."""
-_Parts = list[Any]
-"""The parts of an expression: operands, with the operators between them."""
-
 
 _EPSILON: Final = 2.0**-23  # numbers that differ by less are equal; `<` and `>` are exact
-_MAX_NESTED: Final = 50
 
 
-def _quotient(one: float, other: float) -> float:
-    if other:
-        return one / other
-    return (
-        math.nan
-        if one == 0 or math.isnan(one)
-        else math.copysign(math.inf, one) * math.copysign(1, other)
-    )
+def _quotient(left: float, right: float) -> float:
+    if right:
+        return left / right
+    if left == 0 or math.isnan(left):
+        return math.nan
+    return math.copysign(math.inf, left) * math.copysign(1, right)
 
 
-def _equal(one: Any, other: Any) -> bool:  # noqa: ANN401  # two texts or two numbers
-    return bool(one == other) if isinstance(one, str) else abs(one - other) < _EPSILON
+def _is_equal(left: Value, right: Value) -> bool:
+    return bool(left == right) if isinstance(left, str) else abs(left - right) < _EPSILON
 
 
-_ARITHMETIC: Final[Mapping[str, Callable[[float, float], float]]] = {
-    "+": operator.add,
-    "-": operator.sub,
-    "*": operator.mul,
-    "/": _quotient,
+_OPERATORS: Final[Mapping[str, tuple[Callable[[Value], Any], Callable[[Any, Any], Any]]]] = {
+    "+": (double, operator.add),
+    "-": (double, operator.sub),
+    "*": (double, operator.mul),
+    "/": (double, _quotient),
+    "&": (whole, operator.and_),
+    "|": (whole, operator.or_),
+    "^": (whole, operator.xor),
+    "&&": (truth, operator.and_),
+    "||": (truth, operator.or_),
 }
-_BITS: Final = {"&": operator.and_, "|": operator.or_, "^": operator.xor}
-_COMPARED: Final[Mapping[str, Callable[[Any, Any], bool]]] = {
-    "==": _equal,
-    "!=": lambda one, other: not _equal(one, other),
-    "<": lambda one, other: not one >= other,  # nan is both less and greater than any number
-    ">": lambda one, other: not one <= other,
-    "<=": lambda one, other: not one > other,
-    ">=": lambda one, other: not one < other,
+"""How each operator reads its two numbers, and what it does with them."""
+_COMPARISONS: Final[Mapping[str, Callable[[Value, Value], bool]]] = {
+    "==": _is_equal,
+    "!=": lambda left, right: not _is_equal(left, right),
+    "<": lambda left, right: not left >= right,  # nan is both less and greater than any number
+    ">": lambda left, right: not left <= right,
+    "<=": lambda left, right: not left > right,
+    ">=": lambda left, right: not left < right,
 }
 
 
-def _joined(sign: str, one: Any, other: Any) -> Any:  # noqa: ANN401  # values of any kind
-    if one is EMPTY or other is EMPTY:
-        raise ScriptError(f"an operand of {sign!r} has no value")
-    numbers = is_number(one), is_number(other)
-    texts = isinstance(one, str), isinstance(other, str)
-    if all(numbers) and sign in _ARITHMETIC:
-        return _ARITHMETIC[sign](double(one), double(other))
-    if all(numbers) and sign in _BITS:
-        return double(_BITS[sign](whole(one), whole(other)))
-    if all(numbers) and sign in ("&&", "||"):
-        left, right = truth(one), truth(other)
-        return float(left and right if sign == "&&" else left or right)
-    if (all(texts) and sign == "+") or (
-        sign == ".." and texts != (False, False) and sum(numbers) + sum(texts) == 2
-    ):
-        return as_text(one) + as_text(other)
-    raise ScriptError(f"{sign!r} does not work with {one!r} and {other!r}")
+def _operate(sign: str, left: Value, right: Value) -> Value:
+    sides = (left, right)
+    if sign in _OPERATORS and all(map(is_number, sides)):
+        read, operate = _OPERATORS[sign]
+        return double(operate(read(left), read(right)))
+    texts = sum(isinstance(side, str) for side in sides)
+    others = sum(map(is_number, sides))
+    if (sign in ("+", "..") and texts == 2) or (sign == ".." and texts == others == 1):
+        return as_text(left) + as_text(right)
+    raise ScriptError(f"{sign!r} does not work with {left!r} and {right!r}")
 
 
-def _is_so(sign: str, one: Any, other: Any, board: Blackboard) -> bool:  # noqa: ANN401  # values of any kind
-    if isinstance(one, str) and isinstance(other, str):
-        return _COMPARED[sign](one, other)
-    sides = [number_in(side, board) if isinstance(side, str) else side for side in (one, other)]
-    if not all(map(is_number, sides)):
-        raise ScriptError(f"{one!r} and {other!r} cannot be compared")
-    return _COMPARED[sign](*map(double, sides))
+class _Run:
+    """Evaluates the trees and tokens of lark on a blackboard; methods have the names of rules."""
 
+    def __init__(self, board: Blackboard) -> None:
+        self._board = board
 
-def _assign(parts: _Parts, board: Blackboard) -> Any:  # noqa: ANN401  # of any kind
-    target, sign, value = parts
-    if not isinstance(target, _Name):
-        raise ScriptError("the left side of an assignment has to be a name")
-    name = target.name
-    if sign != ":=" and board.entry(name) is None:
-        raise ScriptError(f"there is no {name!r} on the blackboard; `{name} := ...` makes it")
-    entry, given = board.make(name), value(board)
-    if given is EMPTY:
-        raise ScriptError(f"the value that is assigned to {name!r} is empty")
-    held = entry.value
-    if sign in ("+=", "-=", "*=", "/="):
-        if (
-            held is EMPTY
-            or isinstance(held, str) != isinstance(given, str)
-            or (isinstance(held, str) and sign != "+=")
-        ):
-            raise ScriptError(f"{sign!r} does not work with {held!r} and {given!r}")
-        new = fit(entry, _joined(sign[0], held, given))
-    elif (
-        isinstance(given, str)
-        and not isinstance(held, str)
-        and not (held is EMPTY and entry.declared is None)
-    ):
-        new = number_in(given, board) if entry.declared is None else entry.read(given)
-    else:
-        new = fit(entry, given)
-    entry.put(new)
-    return new
-
-
-def _fold(parts: _Parts, board: Blackboard) -> Any:  # noqa: ANN401  # of any kind
-    value = parts[0](board)
-    for sign, right in zip(parts[1::2], parts[2::2], strict=True):
-        value = _joined(sign, value, right(board))
-    return value
-
-
-def _compare(parts: _Parts, board: Blackboard) -> float:
-    one = parts[0](board)
-    for sign, right in zip(parts[1::2], parts[2::2], strict=True):
-        other = right(board)
-        if not _is_so(sign, one, other, board):
-            return 0.0
-        one = other
-    return 1.0
-
-
-def _choose(parts: _Parts, board: Blackboard) -> Any:  # noqa: ANN401  # of any kind
-    asked, yes, no = parts
-    value = asked(board)
-    if isinstance(value, str):
-        value = begun(value)
-    if not is_number(value):
-        raise ScriptError(f"{value!r} is neither true nor false")
-    return yes(board) if double(value) else no(board)
-
-
-def _prefixed(parts: _Parts, board: Blackboard) -> float:
-    sign, operand = parts
-    value = operand(board)
-    if not is_number(value):
-        raise ScriptError(f"{sign!r} does not work with {value!r}")
-    if sign == "~":  # of the whole part of a number
-        return double(~whole(math.trunc(value) if math.isfinite(value) else value))
-    return -double(value) if sign == "-" else float(not double(value))
-
-
-@dataclass(frozen=True, slots=True)
-class _Name:
-    """Reads an enum, or else an entry; also the target of an assignment."""
-
-    name: str
-
-    def __call__(self, board: Blackboard) -> Any:  # noqa: ANN401  # a value of any kind
-        if self.name in board.enums:
-            return float(board.enums[self.name])
-        entry = board.entry(self.name)
+    def value(self, part: Any) -> Value:  # noqa: ANN401  # a tree or token of lark
+        if not isinstance(part, str):
+            return getattr(self, part.data, self.fold)(*part.children)
+        text = str(part)
+        if text[0] in "'\"":
+            return text[1:-1]
+        if text[0].isdigit():
+            return _read_number(text)
+        if text in ("true", "false"):
+            return float(text == "true")
+        if text in self._board.root.enums:
+            return float(self._board.root.enums[text])
+        entry = self._board.entry(text)
         if entry is None:
-            raise ScriptError(f"there is no {self.name!r} on the blackboard (yet)")
+            raise ScriptError(f"there is no {text!r} on the blackboard (yet)")
         return entry.value
+
+    def assign(self, target: Any, sign: str, expression: Any) -> Value:  # noqa: ANN401  # as above
+        board = self._board
+        name = str(target)
+        if getattr(target, "type", "") != "NAME" or name in ("true", "false"):
+            raise ScriptError("the left side of an assignment has to be a name")
+        if sign != ":=" and board.entry(name) is None:
+            raise ScriptError(f"there is no {name!r} on the blackboard; `{name} := ...` makes it")
+        entry = board.make(name)
+        value = self.value(expression)
+        if value is EMPTY:
+            raise ScriptError(f"the value that is assigned to {name!r} is empty")
+        before = entry.value
+        is_untyped = before is EMPTY and entry.declared is None
+        if sign not in (":=", "="):
+            if isinstance(before, str) != isinstance(value, str):
+                raise ScriptError(f"{sign!r} does not work with {before!r} and {value!r}")
+            value = fit(_operate(sign[0], before, value), before)
+        elif isinstance(before, str) or not isinstance(value, str) or is_untyped:
+            value = fit(value, before)
+        elif entry.declared is None:
+            value = self._number(value)
+        else:
+            value = entry.read(value)
+        entry.put(value)
+        return value
+
+    def choose(self, condition: Any, yes: Any, no: Any) -> Value:  # noqa: ANN401  # as above
+        value = self.value(condition)
+        if isinstance(value, str):
+            value = begun(value)
+        return self.value(yes if double(value) else no)
+
+    def fold(self, first: Any, *rest: Any) -> Value:  # noqa: ANN401  # as above
+        value = self.value(first)
+        for sign, right in zip(rest[::2], rest[1::2], strict=True):
+            value = _operate(sign, value, self.value(right))
+        return value
+
+    def compare(self, first: Any, *rest: Any) -> float:  # noqa: ANN401  # as above
+        left = self.value(first)
+        for sign, part in zip(rest[::2], rest[1::2], strict=True):
+            right = self.value(part)
+            sides = [left, right]
+            if not all(isinstance(side, str) for side in sides):
+                sides = [self._number(side) for side in sides]
+            if not _COMPARISONS[sign](*sides):
+                return 0.0
+            left = right
+        return 1.0
+
+    def prefixed(self, sign: str, operand: Any) -> float:  # noqa: ANN401  # as above
+        value = self.value(operand)
+        if sign == "~":  # of the whole part of a number
+            is_finite = is_number(value) and math.isfinite(value)
+            return double(~whole(math.trunc(value) if is_finite else value))
+        return -double(value) if sign == "-" else float(not double(value))
+
+    def _number(self, value: Value) -> float:
+        """Return the number that a value means: a number, `true`, `false`, or the name of an enum."""
+        if isinstance(value, str):
+            named = {**self._board.root.enums, "true": 1.0, "false": 0.0}
+            value = named[value] if value in named else begun(value)
+        return double(value)
+
+
+def _read_number(text: str) -> int | float:
+    if text.isdigit() or text[:2] in ("0x", "0X"):
+        number = int(text, 10 if text.isdigit() else 16)
+        return number if number < 2**63 else 0
+    return float(text)
 
 
 @cache
@@ -194,46 +191,12 @@ def parse_script(code: str) -> ParsedScript:
     if not code.strip(" \t\r\n"):
         raise ScriptError("the script is empty")
     try:
-        statements = [_made(one, 0) for one in _parser().parse(code).children]
-    except (UnexpectedCharacters, UnexpectedToken) as error:
-        there = (
-            code[error.pos_in_stream or 0]
-            if isinstance(error, UnexpectedCharacters)
-            else error.token
-        )
-        problem = f"cannot be read at {str(there) or 'the end'!r}; texts stand in single quotes"
-        raise ScriptError(f"the script {code!r} {problem}") from None
-    return lambda board: [statement(board) for statement in statements][-1]
-
-
-def _made(part: Any, depth: int) -> Any:  # noqa: ANN401  # a tree or a token of lark, which is not typed
-    """Return a function that evaluates a part of a script; an operator is returned as its text."""
-    if depth > _MAX_NESTED:
-        raise ScriptError(f"a script has at most {_MAX_NESTED} nested operators")
-    if not isinstance(part, str):
-        return partial(
-            _DOES.get(part.data, _fold), [_made(one, depth + 1) for one in part.children]
-        )
-    kind, text = getattr(part, "type", ""), str(part)
-    if kind == "NAME" and text not in ("true", "false"):
-        return _Name(text)
-    if kind not in ("NUMBER", "TEXT", "NAME"):
-        return text
-    constant = (
-        text[1:-1]
-        if kind == "TEXT"
-        else _number(text)
-        if kind == "NUMBER"
-        else float(text == "true")
-    )
-    return lambda board: constant
-
-
-_DOES: Final = {"assign": _assign, "choose": _choose, "compare": _compare, "prefixed": _prefixed}
-
-
-def _number(text: str) -> int | float:
-    if text.isdigit() or text[:2] in ("0x", "0X"):
-        number = int(text, 10 if text.isdigit() else 16)
-        return number if number < 2**63 else 0
-    return float(text)
+        statements = _parser().parse(code).children
+    except UnexpectedCharacters as error:
+        place = code[error.pos_in_stream or 0]
+    except UnexpectedToken as error:
+        place = str(error.token) or "the end"
+    else:
+        return lambda board: [_Run(board).value(statement) for statement in statements][-1]
+    problem = f"cannot be read at {place!r}; texts stand in single quotes"
+    raise ScriptError(f"the script {code!r} {problem}")

@@ -9,7 +9,7 @@ from random import Random
 
 from kb import KnowledgeBase, Model
 
-__all__ = ["PREFERENCE", "power", "robot", "small_robot"]
+__all__ = ["PREFERENCE", "robot", "small_robot"]
 
 PREFERENCE = {"accuracy": 1.0, "speed": 0.5, "wear": -0.8}
 
@@ -88,15 +88,6 @@ def small_robot(seed: int) -> KnowledgeBase:
         if draw.random() < 0.4:
             kb.assert_selected(kb.designs[draw.choice(function.designs)], True)
     return kb
-
-
-def power(kb: KnowledgeBase) -> float:
-    """Return how much power is used by what is active and selected."""
-    used = {one.element for one in kb.components.values() if one.is_active}
-    used |= {one.element for one in kb.configurations.values() if one.is_selected}
-    return sum(
-        one.value for one in kb.model.estimations if one.attribute == "power" and one.causer in used
-    )
 
 
 def _estimate(causer, draw: Random, worst: float) -> None:

@@ -126,7 +126,8 @@ def test_battery_of_suave_20_s_ahead_is_at_most_0_04_wide(discharge_time_s, nois
             if ahead == 20.0 and forecast.low is not None:
                 widths.append(forecast.high - forecast.low)
                 hits.append(is_hit(forecast, came))
-    row = (discharge_time_s, noise, f"{fmean(hits):.1%}", f"{fmean(widths):.4f}")
+    widest = sorted(widths)[len(widths) * 95 // 100]
+    row = (discharge_time_s, noise, f"{fmean(hits):.1%}", f"{fmean(widths):.4f}", f"{widest:.4f}")
     tables[f"battery {row[:2]}"] = lambda: f"| {' | '.join(map(str, row))} |"
-    assert fmean(widths) <= 0.04
+    assert widest <= 0.04
     assert fmean(hits) >= 0.85

@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 import time
-import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -15,15 +14,10 @@ from missions.engine.mission import find_mission
 from missions.views.live import LiveView, Steering
 from missions.views.recorder import RunRecorder
 
-sys.path.append(str(Path(__file__).parents[1] / "missions"))
-
-from test_page import Rover
-
 pytestmark = pytest.mark.benchmark
 
 HERE = Path(__file__).parent
 PAGES, ROUNDS, SIMULATED_S, SPEED = 20, 5, 60, 20
-HOUR_S = 3600
 
 
 def flown(pages):
@@ -67,35 +61,3 @@ def test_twenty_pages_cost_a_tick_five_percent_at_most_and_all_but_the_frozen_on
     head = ("alone [us]", "watched [us]", "ratio", "ratio by the wall clock")
     print(table("A tick, while twenty pages look", head, rows))
     assert min(watched_s) <= 1.05 * min(alone_s)
-
-
-def test_memory_of_the_view_is_flat_over_a_day():
-    """Measurements and a tick every five seconds; what the view's own code holds is compared between hours."""
-    rover = Rover()
-    held = []
-    with LiveView(rover.kb, rover.runner, port=0, keep=10_000) as view:
-        looking = subprocess.Popen(
-            [sys.executable, HERE / "pages.py", view.url.replace("http", "ws") + "ws"],
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert [looking.stdout.readline() for _ in range(PAGES)] == ["looking\n"] * PAGES
-        tracemalloc.start()
-        for _ in range(24):
-            for second in range(0, HOUR_S, 5):
-                rover.clock.advance(5.0)
-                rover.kb.measure("light", 0.9 if second % 120 < 60 else 0.3)
-                rover.kb.measure("energy", 0.9 if second % 600 < 500 else 0.1)
-                rover.manager.update()
-                rover.runner.tick()
-            only = [
-                tracemalloc.Filter(True, "*/missions/views/*"),
-                tracemalloc.Filter(True, "*/websockets/*"),
-            ]
-            taken = tracemalloc.take_snapshot().filter_traces(only)
-            held.append(sum(one.size for one in taken.statistics("filename")) / 2**20)
-        tracemalloc.stop()
-    looking.communicate(timeout=30)
-    rows = [(str(hour), f"{size:.2f}") for hour, size in enumerate(held, start=1)]
-    print(table("What the view holds, hour by hour", ("hour", "MiB"), rows))
-    assert max(held[12:]) <= 1.05 * max(held[6:12])

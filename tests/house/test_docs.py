@@ -29,7 +29,10 @@ def blocks(path):
 
 
 def run_python(path):
-    """Run the Python blocks of a document one after the other; a text block after one is what that one prints."""
+    """Run the Python blocks of a document one after the other.
+
+    A text block after one is what that one prints.
+    """
     namespace = {"__name__": "document"}
     found = blocks(path)
     for (language, text), following in zip_longest(found, found[1:], fillvalue=("", "")):
@@ -57,13 +60,16 @@ def drawn(line):
 
 
 def drawn_before(path):
-    """Return the runs that documents before this one draw: their pictures are used no further, so once is enough."""
+    """Return the runs that documents before this one draw."""
     before = DOCUMENTS[: DOCUMENTS.index(path)]
     return {drawn(line) for one in before for line in shell_lines(one)} - {None}
 
 
 def few_runs():
-    """The paper's table for one mission and three managers; what runs each of them with each is in tests/missions."""
+    """The paper's table for one mission and three managers.
+
+    What runs each of them with each is in tests/missions.
+    """
     return replace(paper_table(), missions=("suave",), managers=("none", "bt", "ours"))
 
 
@@ -95,7 +101,9 @@ def test_document_does_what_it_says(path, tmp_path, monkeypatch):
         shown = next(text for language, text in blocks(path) if language == "text")
         assert shown.splitlines()
         assert not set(shown.splitlines()) - set(said.splitlines())
-    for name in [one for one in sys.modules if one.partition(".")[0] in ("rover", "my_robot")]:
+    for name in [
+        module for module in sys.modules if module.partition(".")[0] in ("rover", "my_robot")
+    ]:
         del sys.modules[name]
     for language, text in blocks(path):
         if language == "json":
@@ -140,7 +148,8 @@ def test_notebook_prints_what_stands_in_it():
     for cell in cells:
         if cell["cell_type"] != "code":
             continue
-        text, last = "".join(cell["source"]), cell["source"][-1]
+        text = "".join(cell["source"])
+        last = cell["source"][-1]
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed):
             exec(text, namespace)

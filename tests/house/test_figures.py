@@ -45,8 +45,8 @@ def files():
     """Return every file of the product, parsed."""
     return {
         path: ast.parse(path.read_text())
-        for one in PACKAGES
-        for path in sorted((ROOT / one).rglob("*.py"))
+        for package in PACKAGES
+        for path in sorted((ROOT / package).rglob("*.py"))
     }
 
 
@@ -160,7 +160,8 @@ def test_measurement_takes_a_short_way_to_the_parameters_it_changes():
     for _ in range(5):
         now[0] += 0.1
         manager.update()
-    called, ours = [], files()
+    called = []
+    ours = files()
 
     def note(frame, event, _):
         path = Path(frame.f_code.co_filename)
@@ -181,7 +182,7 @@ def test_measurement_takes_a_short_way_to_the_parameters_it_changes():
 
 
 def test_every_public_class_says_what_its_methods_do():
-    """What a package exports is read by users: each public method, property and function of it has a docstring."""
+    """Each public method, property and function that a package exports has a docstring."""
     import importlib
     import inspect
 

@@ -135,7 +135,10 @@ def declared():
 def test_every_dependency_is_pinned_and_installed_as_pinned():
     pins = dict(line.split("==") for line in (ROOT / "constraints.txt").read_text().splitlines())
     pinned = {normalised(name): version for name, version in pins.items()}
-    installed = {normalised(one.metadata["Name"]): one.version for one in distributions()}
+    installed = {
+        normalised(distribution.metadata["Name"]): distribution.version
+        for distribution in distributions()
+    }
     for name in declared():
         assert name in pinned, f"pin {name} in constraints.txt"
     wrong = {
@@ -177,6 +180,7 @@ def test_exceptions_to_the_rules_carry_their_reason():
 
 
 def test_modules_of_the_late_imports_stay_out_until_they_are_needed():
-    code = "import sys, missions.cli; print([m for m in ('mujoco', 'unified_planning', 'matplotlib') if m in sys.modules])"
+    heavy = ("mujoco", "unified_planning", "matplotlib")
+    code = f"import sys, missions.cli; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

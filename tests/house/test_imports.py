@@ -1,4 +1,7 @@
-"""What each package may import: what is not on its list is denied. Directions between packages are import-linter's."""
+"""What each package may import: what is not on its list is denied.
+
+Directions between packages are import-linter's.
+"""
 
 import ast
 import sys
@@ -26,7 +29,6 @@ ALLOWED = {
         "rich",
         "typer",
         "scipy",
-        "joblib",
         "dask",
         "distributed",
         "gymnasium",
@@ -54,7 +56,6 @@ LATE = {
     "owlready2",
     "rdflib",
     "scipy",
-    "joblib",
     "dask",
     "distributed",
     "gymnasium",
@@ -72,7 +73,7 @@ LATE = {
 }
 """Slow to import: only inside functions, or in the one module that is itself imported late."""
 LATE_MODULES = {
-    "kb/typeql_syntax.py",
+    "kb/typeql.py",
     "missions/views/picture.py",
     "missions/views/terminal.py",
     "missions/testing/plugin.py",
@@ -82,8 +83,9 @@ LATE_MODULES = {
 
 @cache
 def imports(path):
-    """Return (top-level package, whether the import happens when the module is imported) of each import."""
-    tree, found = ast.parse(path.read_text()), []
+    """Return the top-level package of each import, and whether it is imported at once."""
+    tree = ast.parse(path.read_text())
+    found = []
     at_import = {id(node) for node in tree.body}
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):

@@ -33,8 +33,8 @@ def every_choice(state):
         designs = [ranked(state, node)[rank] for node, rank in zip(free, ranks, strict=True)]
         needed = [part for design in (*designs, *kept) for part in design.requires]
         given_up = decide(state, designs).deactivate
-        asserted = [part for part in served if part in state.asserted_required]
-        needed += [part for part in asserted if part.name not in given_up]
+        running = [part for part in served if part in state.asserted_required & state.active]
+        needed += [part for part in running if part.name not in given_up]
         components = [
             node for node in network.components.values() if node in needed and ranked(state, node)
         ]
@@ -45,8 +45,8 @@ def every_choice(state):
             yield (ranks, more), designs, chosen
 
 
-def outcome(state, designs, configurations, criterion):
-    """Return what a choice is worth, and the load of each budget, once it is carried out."""
+def outcome(state, designs, configurations, weights, cost=0.0):
+    """Return what a choice is worth once it is carried out; the cost of switching is one for all."""
     after = state.copy()
     selection = decide(after, [*designs, *configurations])
     apply_selection(after, selection)
@@ -62,43 +62,24 @@ def outcome(state, designs, configurations, criterion):
     causing = {node.element for node in causers}
     estimations = [one for one in network.model.estimations if one.causer in causing]
     worth = Fraction(0)
-    for attribute, weight in criterion.weights.items():
+    for attribute, weight in weights.items():
         mine = [one for one in estimations if one.attribute == attribute]
         levels = [exact(weight) * exact(one.value) for one in mine if one.kind == "absolute"]
         worth += min(levels, default=Fraction(0))
-        worth += exact(weight) * sum(signed(one) for one in mine if one.kind != "absolute")
-    switched = [
-        name
-        for name in (*selection.activate, *selection.deactivate)
-        if kind(network, name) != "plain"
-    ]
-    switched += [network.configurations[name].element.component for name in selection.parameters]
-    worth -= sum(exact(criterion.cost_of(name)) for name in switched)
-    loads = {
-        name: sum(signed(one) for one in estimations if one.attribute == name)
-        for name in criterion.budgets
-    }
-    return worth, loads
+        worth += exact(weight) * sum(exact(one.adds) for one in mine if one.kind != "absolute")
+    switched = [*selection.activate, *selection.deactivate]
+    commanded = [name for name in switched if network.components[name].element.kind != "plain"]
+    return worth - exact(cost) * (len(commanded) + len(selection.parameters))
 
 
-def kind(network, name):
-    return network.components[name].element.kind
-
-
-def signed(estimation):
-    return exact(estimation.value) * (-1 if estimation.kind == "negative" else 1)
-
-
-def best_by_trying(state, criterion):
-    """Return value, designs and configurations of the best choice; None if nothing keeps within the budgets."""
+def best_by_trying(state, weights, cost=0.0):
+    """Return value, designs and configurations of the best choice."""
     best = None
     for rank, designs, configurations in every_choice(state):
-        worth, loads = outcome(state, designs, configurations, criterion)
-        if any(loads[name] > exact(limit) for name, limit in criterion.budgets.items()):
-            continue
+        worth = outcome(state, designs, configurations, weights, cost)
         if best is None or (-worth, rank) < best[0]:
             best = (-worth, rank), designs, configurations
-    return best and (-best[0][0], names(best[1]), names(best[2]))
+    return -best[0][0], names(best[1]), names(best[2])
 
 
 def names(chosen):

@@ -2,14 +2,22 @@
 
 import random
 import sys
+from contextlib import closing
 from functools import partial
 
 from clocks import Clock
 
 from kb import KnowledgeBase, Model, PriorityPlanner
+from kb.store import connect, events_in
 
 KEPT = 50
 LOST = "its result is not known"
+
+
+def stored(path):
+    """The events of a store that is closed."""
+    with closing(connect(path)) as connection:
+        return list(events_in(connection))
 
 
 def answers(kb, *, ended=False):
@@ -23,29 +31,29 @@ def answers(kb, *, ended=False):
     ]
     constraints = [one for element in elements for one in getattr(element, "constraints", ())]
     return {
-        "statuses": [(repr(one), one.status) for one in (*elements, *constraints)],
+        "statuses": [(repr(element), element.status) for element in (*elements, *constraints)],
         "required": [
-            (repr(one), one.is_required) for one in elements if hasattr(one, "is_required")
+            (repr(element), element.is_required) for element in elements if hasattr(element, "is_required")
         ],
         "active": [
-            (one.name, one.is_active, dict(one.parameters_in_force))
-            for one in kb.components.values()
+            (component.name, component.is_active, dict(component.parameters_in_force))
+            for component in kb.components.values()
         ],
-        "selected": [repr(one) for one in elements if getattr(one, "is_selected", False)],
+        "selected": [repr(element) for element in elements if getattr(element, "is_selected", False)],
         "measured": [
-            (one.name, one.value, one.time, one.is_stale, one.history[-KEPT:])
-            for one in kb.attributes.values()
+            (attribute.name, attribute.value, attribute.time, attribute.is_stale, attribute.history[-KEPT:])
+            for attribute in kb.attributes.values()
         ],
         "plans": [plan(one, ended) for one in kb.plans],
-        "requests": [request(one) for one in kb.history.actions],
-        "open": [one.action for one in kb.required_actions],
+        "requests": [request(action) for action in kb.history.actions],
+        "open": [action.action for action in kb.required_actions],
         "attempts": [attempt(one, ended) for one in kb.history.attempts],
         "answers": [
-            (kb.plans.index(one.plan), one.time, one.is_vetoed, one.reason)
-            for one in kb.history.answers
+            (kb.plans.index(answer.plan), answer.time, answer.is_vetoed, answer.reason)
+            for answer in kb.history.answers
         ],
-        "reasons": [one.reason for one in (*kb.designs.values(), *kb.configurations.values())],
-        "processes": [(one.component, one.pid, one.start, one.end) for one in kb.processes],
+        "reasons": [design.reason for design in (*kb.designs.values(), *kb.configurations.values())],
+        "processes": [(process.component, process.pid, process.start, process.end) for process in kb.history.processes],
         "adaptable": (kb.adaptable_functions(), kb.adaptable_components(), kb.obsolete()),
     }
 
@@ -138,8 +146,11 @@ class Life:
         elif what == 9 and kb.pending_plan:
             yield from self.carrying_out(kb.pending_plan)
         elif what == 10:
-            given = {"exposure": chance.random(), "topics": ["a", "b"], "on": True, "n": 3}
-            yield kb.component_configured, "camera", given
+            if kb.plans:
+                given = {"exposure": chance.random(), "topics": ["a", "b"], "on": True, "n": 3}
+                command = kb.plans[-1], "camera", "configure", "day", given
+                yield kb.record_attempt, *command
+                yield kb.finish_attempt, kb.history.attempts[-1], "completed"
             yield (
                 (kb.component_started, "lidar", chance.randrange(1000))
                 if chance.random() < 0.5
@@ -182,8 +193,8 @@ def live(path, seed):
     life, acknowledged = Life(path, seed), 0
     print("begun", flush=True)
     for _ in life.moves():
-        if life.kb.saved > acknowledged:
-            acknowledged = life.kb.saved
+        if life.kb.store.saved > acknowledged:
+            acknowledged = life.kb.store.saved
             print(acknowledged, flush=True)
 
 

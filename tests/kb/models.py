@@ -289,7 +289,7 @@ class Twins:
             kinds = {"Action": "action", "FunctionDesign": "design", "Component": "component"}
             whole = self.view(kinds.get(type(holder).__name__, "configuration"), holder.name, kb)
             own = [
-                one for one in self.model.constraints if any(it is holder for it in one.constrained)
+                constraint for constraint in self.model.constraints if any(it is holder for it in constraint.constrained)
             ]
             position = next(number for number, one in enumerate(own) if one is constraint)
             return whole.constraints[position]
@@ -303,7 +303,7 @@ class Twins:
         return listed + [("constraint", number) for number in range(len(self.model.constraints))]
 
     def statuses(self):
-        return {one: self.view(*one).status for one in self.elements()}
+        return {element: self.view(*element).status for element in self.elements()}
 
     def _measure(self, name, value):
         self.kb.measure(name, value)
@@ -452,4 +452,4 @@ class Twins:
         assert set(obsolete.designs) == naive.obsolete_designs()
         assert set(obsolete.configurations) == naive.obsolete_configurations()
         if kb is self.kb:
-            assert {one.action for one in kb.required_actions} == naive.open_actions
+            assert {action.action for action in kb.required_actions} == naive.open_actions

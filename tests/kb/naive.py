@@ -50,10 +50,10 @@ class Naive:
         ]
 
     def designs_of(self, function):
-        return [one for one in self.model.designs.values() if one.function == function]
+        return [design for design in self.model.designs.values() if design.function == function]
 
     def configurations_of(self, component):
-        return [one for one in self.model.configurations.values() if one.component == component]
+        return [configuration for configuration in self.model.configurations.values() if configuration.component == component]
 
     # required
 
@@ -62,8 +62,8 @@ class Naive:
 
     def function_required(self, name):
         by_action = any(
-            name in one.functions and self.action_required(one.name)
-            for one in self.model.actions.values()
+            name in action.functions and self.action_required(action.name)
+            for action in self.model.actions.values()
         )
         return by_action or ("function", name) in self.asserted_required
 
@@ -117,8 +117,8 @@ class Naive:
         return "unfeasible" if self.violated(self.model.configurations[name]) else "feasible"
 
     def component_status(self, name):
-        options = [one.name for one in self.configurations_of(name)]
-        unfeasible = [one for one in options if self.status("configuration", one) == "unfeasible"]
+        options = [configuration.name for configuration in self.configurations_of(name)]
+        unfeasible = [option for option in options if self.status("configuration", option) == "unfeasible"]
         required = self.component_required(name)
         if name in self.failed:
             return "failure"
@@ -128,25 +128,25 @@ class Naive:
             return "configuration error"
         if required and name not in self.active:
             return "unsolved"
-        if required and options and not any(one in self.configurations for one in options):
+        if required and options and not any(option in self.configurations for option in options):
             return "unsolved"
         return "solved" if required else "feasible"
 
     def design_status(self, name):
         design = self.model.designs[name]
-        parts = [self.status("component", one) for one in design.components]
+        parts = [self.status("component", component) for component in design.components]
         if self.violated(design) or "failure" in parts or "unfeasible" in parts:
             return "unfeasible"
         if name in self.designs and "configuration error" in parts:
             return "implicit configuration error"
-        if name in self.designs and any(one != "solved" for one in parts):
+        if name in self.designs and any(part != "solved" for part in parts):
             return "unsolved"
         return "solved" if name in self.designs else "feasible"
 
     def function_status(self, name):
-        options = {one.name: self.status("design", one.name) for one in self.designs_of(name)}
-        selected = [options[one] for one in options if one in self.designs]
-        if not options or all(one == "unfeasible" for one in options.values()):
+        options = {design.name: self.status("design", design.name) for design in self.designs_of(name)}
+        selected = [options[option] for option in options if option in self.designs]
+        if not options or all(option == "unfeasible" for option in options.values()):
             return "unfeasible"
         if not self.function_required(name):
             return "feasible"
@@ -158,14 +158,14 @@ class Naive:
 
     def action_status(self, name):
         action = self.model.actions[name]
-        needs = [self.status("function", one) for one in action.functions]
+        needs = [self.status("function", function) for function in action.functions]
         if self.violated(action) or "unfeasible" in needs:
             return "unfeasible"
         if not self.action_required(name):
             return "feasible"
         if "configuration error" in needs or "implicit configuration error" in needs:
             return "implicit configuration error"
-        return "unsolved" if any(one != "solved" for one in needs) else "solved"
+        return "unsolved" if any(need != "solved" for need in needs) else "solved"
 
     # questions
 
@@ -177,7 +177,7 @@ class Naive:
 
     def adaptable_functions(self):
         return {
-            one.name for one in self.model.functions.values() if self._is_adaptable("function", one)
+            function.name for function in self.model.functions.values() if self._is_adaptable("function", function)
         }
 
     def adaptable_components(self, designs=()):
@@ -185,9 +185,9 @@ class Naive:
         supposed.designs, supposed.configurations = set(self.designs), set(self.configurations)
         supposed.mark({self.model.designs[name].function: name for name in designs}, {})
         return {
-            one.name
-            for one in self.model.components.values()
-            if supposed._is_adaptable("component", one)
+            component.name
+            for component in self.model.components.values()
+            if supposed._is_adaptable("component", component)
         }
 
     def selectable_actions(self):
@@ -195,20 +195,20 @@ class Naive:
 
     def selectable_designs(self, function):
         return {
-            one.name
-            for one in self.designs_of(function)
-            if self.status("design", one.name) != "unfeasible"
+            design.name
+            for design in self.designs_of(function)
+            if self.status("design", design.name) != "unfeasible"
         }
 
     def selectable_configurations(self, component):
         options = self.configurations_of(component)
         return {
-            one.name for one in options if self.status("configuration", one.name) != "unfeasible"
+            option.name for option in options if self.status("configuration", option.name) != "unfeasible"
         }
 
     def usable_by(self, component):
         """Functions that could use a component: those with a design that contains it."""
-        return {one.function for one in self.model.designs.values() if component in one.components}
+        return {design.function for design in self.model.designs.values() if component in design.components}
 
     def obsolete_components(self):
         return {
@@ -217,17 +217,17 @@ class Naive:
 
     def obsolete_designs(self):
         return {
-            one
-            for one in self.designs
-            if not self.function_required(self.model.designs[one].function)
+            design
+            for design in self.designs
+            if not self.function_required(self.model.designs[design].function)
         }
 
     def obsolete_configurations(self):
-        component = {one: self.model.configurations[one].component for one in self.configurations}
+        component = {configuration: self.model.configurations[configuration].component for configuration in self.configurations}
         return {
-            one
-            for one in self.configurations
-            if not any(map(self.function_required, self.usable_by(component[one])))
+            configuration
+            for configuration in self.configurations
+            if not any(map(self.function_required, self.usable_by(component[configuration])))
         }
 
     # selecting
@@ -237,12 +237,12 @@ class Naive:
         replaced = set()
         for function, chosen in designs.items():
             replaced |= {
-                one.name for one in self.designs_of(function) if one.name in self.designs
+                design.name for design in self.designs_of(function) if design.name in self.designs
             } - {chosen}
             self.designs.add(chosen)
         self.designs -= replaced
         for component, chosen in configurations.items():
-            self.configurations -= {one.name for one in self.configurations_of(component)}
+            self.configurations -= {configuration.name for configuration in self.configurations_of(component)}
             self.configurations.add(chosen)
         obsolete = self.obsolete_designs(), self.obsolete_configurations()
         self.designs -= obsolete[0]
@@ -254,9 +254,9 @@ class Naive:
         designs = [self.model.designs[name] for name in self.designs]
         return {
             part
-            for one in designs
-            if self.function_required(one.function)
-            for part in one.components
+            for design in designs
+            if self.function_required(design.function)
+            for part in design.components
         }
 
     def select(self, designs, configurations):

@@ -49,7 +49,7 @@ QUESTIONS = (
     lambda kb: kb.revision,
     lambda kb: kb.explain("explore"),
     lambda kb: kb.situation(light=0.2).is_feasible("explore"),
-    lambda kb: [one.status for one in kb.configurations.values()],
+    lambda kb: [configuration.status for configuration in kb.configurations.values()],
     lambda kb: kb.adaptable_components(),
     lambda kb: kb.best_configuration("explore"),
     lambda kb: kb.attributes["light"].history,
@@ -100,7 +100,7 @@ SETTINGS = st.tuples(
 
 @settings(max_examples=40)
 @given(SETTINGS, STORIES)
-def test_a_log_told_again_with_its_amendments_makes_the_same_known(given_settings, story):
+def test_replayed_log_with_amendments_gives_the_same(given_settings, story):
     clock, again = Clock(0.0), Clock(0.0)
     kb = KnowledgeBase(robot(*given_settings), clock=clock)
     for pause, fact, _ in story:
@@ -115,7 +115,7 @@ def test_a_log_told_again_with_its_amendments_makes_the_same_known(given_setting
     assert twin.model == kb.model
 
 
-def test_recovery_told_after_an_assertion_has_lapsed_is_no_news_though_nobody_asked():
+def test_recovery_after_a_lapse_is_no_news():
     clock = Clock(0.0)
     kb = KnowledgeBase(robot(0.0, (1, 1), 1.0, "violated"), clock=clock)
     kb.assert_status("camera", "failure", until=5.0)

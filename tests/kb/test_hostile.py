@@ -7,11 +7,10 @@ import re
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from interrupting import is_free
 from kept import answers
 from models import Clock
 
-from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, ModelError, ModelFileError
+from kb import KnowledgeBase, KnowledgeBaseError, Model, ModelFileError
 from kb.elements import shown
 
 
@@ -82,52 +81,14 @@ STATUSES = st.fixed_dictionaries(
 def test_diagnostics_of_any_form_are_taken_or_told(given):
     kb = KnowledgeBase(robot(), clock=Clock(1.0))
     problems = kb.receive(given)
-    assert all(isinstance(str(one), str) and one.reason for one in problems)
+    assert all(isinstance(str(problem), str) and problem.reason for problem in problems)
     told = {"measure", "component_failed", "component_recovered"}
     assert {event.verb for event in kb.log} <= told
     value = kb.attributes["v"].value
     assert value is None or 0.0 <= value <= 1.0
 
 
-def test_the_rest_of_an_array_counts_when_one_status_is_broken():
-    kb = KnowledgeBase(robot(), clock=Clock(1.0))
-    good = {"message": "QA status", "values": {"v": 0.7}}
-    problems = kb.receive(
-        [{"message": "QA status", "values": {"v": Breaks()}}, good, {"message": Breaks()}]
-    )
-    assert [str(one) for one in problems] == [
-        "QA status='dict': it cannot be read: broken",
-        "status='dict': it cannot be read: broken",
-    ]
-    assert kb.attributes["v"].value == 0.7
-
-
 HUGE = 10**5000
-
-
-@pytest.mark.parametrize(
-    "value", [HUGE, -HUGE, Breaks(), math.nan], ids=["huge", "least", "broken", "nan"]
-)
-@pytest.mark.parametrize(
-    "tell",
-    [
-        lambda kb, value: kb.measure("v", value),
-        lambda kb, value: kb.situation(v=value),
-        lambda kb, value: kb.model.change("d", priority=value),
-        lambda kb, value: kb.model.change("k", parameters={"r": value}),
-        lambda kb, value: kb.model.change("v", max_age=value),
-        lambda kb, value: kb.model.quality_attribute("w", low=value, high=value),
-        lambda kb, value: kb.component_started("c", value),
-        lambda kb, value: kb.request_action("a", {"v": value}),
-        lambda kb, value: kb.assert_status("a", "unfeasible", until=value),
-    ],
-)
-def test_what_is_no_number_that_can_be_kept_is_refused(tell, value):
-    kb = KnowledgeBase(robot(), clock=Clock(1.0))
-    before = (kb.log.last, kb.revision, kb.model == robot())
-    with pytest.raises((InvalidValue, ModelError)):
-        tell(kb, value)
-    assert (kb.log.last, kb.revision, kb.model == robot()) == before
 
 
 BASE = 'insert $a isa Attribute, has attribute-name "v"; $b isa Action, has action-name "go"; '
@@ -259,7 +220,6 @@ TOLD = {
     "component_failed": (("c", "rain"), 2),
     "component_recovered": (("c",), 1),
     "component_active": (("c", True, "on"), 3),
-    "component_configured": (("c", {"r": 2}), 2),
     "component_started": (("c", 7), 2),
     "component_ended": (("c", 7), 2),
     "assert_status": (("a", "unfeasible", "seen", 99.0), 4),
@@ -270,7 +230,6 @@ TOLD = {
     "cancel_action": (("a", "failed", "dark"), 3),
     "select": (({"f": "d"}, {"c": "k"}, "told"), 3),
     "finish_plan": ((1, "completed"), 2),
-    "note_no_choice": (("nothing",), 1),
     "record_attempt": ((1, "c", "configure", "k", {"r": 1}, 1), 6),
     "finish_attempt": ((1, "completed", "done"), 3),
     "record_answer": ((1, True, "no"), 3),
@@ -291,7 +250,7 @@ TOLD = {
 
 @settings(suppress_health_check=list(HealthCheck))
 @given(st.sampled_from(sorted(TOLD)), st.data())
-def test_whatever_is_refused_has_changed_nothing_and_is_told_in_words(verb, data):
+def test_refused_call_changes_nothing_and_says_why(verb, data):
     kb = KnowledgeBase(robot(), clock=Clock(1.0))
     kb.request_action("a")
     kb.select({"f": "d"}, {"c": "k"})
@@ -323,37 +282,9 @@ def refusal(call, *arguments):
 
 def spread(values):
     """Yield what was given, and what is in it."""
-    for one in values:
-        yield one
-        if isinstance(one, dict):
-            yield from (*one, *one.values())
-        elif isinstance(one, list | tuple):
-            yield from one
-
-
-class Asking(dict):
-    """A mapping of somebody's own, which looks whether another thread can ask meanwhile."""
-
-    def __init__(self, kb, **values):
-        super().__init__(**values)
-        self.kb, self.found = kb, []
-
-    def keys(self):
-        self.found.append(is_free(self.kb))
-        return super().keys()
-
-    def __iter__(self):
-        self.found.append(is_free(self.kb))
-        return super().__iter__()
-
-    def items(self):
-        self.found.append(is_free(self.kb))
-        return super().items()
-
-
-def test_nothing_is_held_while_a_mapping_of_others_is_read():
-    kb = KnowledgeBase(robot(), clock=Clock(1.0))
-    given = [Asking(kb, v=1.0), Asking(kb, f="d"), Asking(kb, c="k")]
-    assert kb.request_action("a", given[0])
-    assert kb.select(given[1], configurations=given[2])
-    assert all(one.found and all(one.found) for one in given)
+    for value in values:
+        yield value
+        if isinstance(value, dict):
+            yield from (*value, *value.values())
+        elif isinstance(value, list | tuple):
+            yield from value

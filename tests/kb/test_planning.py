@@ -5,7 +5,7 @@ import pytest
 from kb import KnowledgeBase, Model, OptimalPlanner, PriorityPlanner
 from kb.planning import decide
 
-PLANNERS = [PriorityPlanner(), OptimalPlanner(budgets={"power": 9.0})]
+PLANNERS = [PriorityPlanner(), OptimalPlanner()]
 
 
 def switching_rover():

@@ -94,8 +94,8 @@ class Robot:
     def explore(self):
         self.kb.request_action("explore")
         self.update_until(self.is_solved)
-        self.update_until(lambda: self.kb.processes)
-        return self.kb.processes[-1]
+        self.update_until(lambda: self.kb.history.processes)
+        return self.kb.history.processes[-1]
 
 
 def test_required_component_runs_until_nothing_requires_it():

@@ -11,7 +11,6 @@ from kb import (
     InvalidValue,
     KnowledgeBase,
     KnowledgeBaseError,
-    Memory,
     Model,
     PriorityPlanner,
     Status,
@@ -317,21 +316,6 @@ def test_an_attempt_that_was_under_way_is_abandoned_when_a_store_is_opened_again
     lives.kb.close()
 
 
-def test_the_newest_attempts_and_answers_are_remembered():
-    kb = KnowledgeBase(rover(), memory=Memory(records=5))
-    kb.request_action("explore")
-    plan = kb.select({"see": "by camera"})
-    for number in range(1, 40):
-        kb.finish_attempt(kb.record_attempt(plan, "camera", "activate", number=number), "failed")
-        kb.record_answer(plan, is_vetoed=False, reason=str(number))
-        assert [one.number for one in kb.history.attempts][-5:] == list(range(1, number + 1))[-5:]
-        assert [one.reason for one in kb.history.answers][-5:] == [
-            str(one) for one in range(1, number + 1)
-        ][-5:]
-        assert len(kb.history.attempts) <= 11  # with the one that was under way
-        assert len(kb.history.answers) <= 10
-
-
 WRONG = [
     lambda kb, plan: kb.record_attempt("plan", "camera", "activate"),
     lambda kb, plan: kb.record_attempt(plan, "camra", "activate"),
@@ -367,7 +351,7 @@ def test_a_subscriber_may_wait_until_what_it_hears_is_on_disk(tmp_path):
 
     def impatient(event):
         assert kb.flush(10.0)
-        assert kb.saved == event.number
+        assert kb.store.saved == event.number
         told.append(event.text)
 
     leave = kb.subscribe(impatient)
@@ -406,7 +390,8 @@ def test_an_attribute_is_explained_by_what_is_known_of_it_and_what_needs_it():
     assert str(explanation) == (
         "light is just below 0.5 (measured 2.0 s ago); configuration day needs light >= 0.5: violated"
     )
-    assert (explanation.status, explanation.causes[0].measurement.value) == (None, 0.5 - 1e-15)
+    assert explanation.status is None
+    assert [cause.name for cause in explanation.causes] == ["light >= 0.5"]
 
 
 def test_what_was_said_of_an_element_goes_with_it():

@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from models import NUMBERS, RANDOMS, Clock, Twins, events, some_of, stories
 
-from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, Status, UnknownName
+from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, UnknownName
 
 SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
 
@@ -125,7 +125,7 @@ def test_situation_follows_its_model():
         situation.is_feasible("look")
 
 
-def test_what_the_robot_can_do_in_a_situation_and_how_it_is_best_configured_for_it(kb):
+def test_situation_answers_feasibility_and_configuration(kb):
     kb.measure("light", 0.8)
     dark = kb.situation(light=0.3)
     assert kb.best_configuration("explore")[:2] == ({"see": "by camera"}, {"camera": "day"})
@@ -142,26 +142,7 @@ def test_what_the_robot_can_do_in_a_situation_and_how_it_is_best_configured_for_
     assert "light 0 violates >= 0.1" in str(night.explain("explore"))
 
 
-def test_a_later_assumption_goes_before_an_earlier_one(kb):
-    assert (
-        kb.situation(light=0.0, failed=["lidar"])
-        .situation(light=1.0, recovered=["lidar"])
-        .is_feasible("explore")
-    )
-
-
-def test_a_name_by_itself_is_not_taken_for_its_letters(kb):
-    assert kb.situation(failed="camera").components["camera"].status is Status.FAILURE
-
-
-def test_supposing_nothing_measured_makes_constraints_not_evaluated(kb):
-    kb.measure("light", 0.0)
-    unknown = kb.situation(light=None)
-    assert unknown.configurations["day"].constraints[0].status is Status.NOT_EVALUATED
-    assert unknown.attributes["light"].time is None
-
-
-def test_what_is_supposed_is_told_so_and_what_was_measured_with_its_age(kb):
+def test_explanation_says_what_is_supposed_and_what_measured(kb):
     kb.measure("light", 0.05)
     dark = kb.situation({"energy left": 0.1}, failed=["lidar"])
     assert "light 0.05 violates >= 0.1 (measured 0.0 s ago)" in str(dark.explain("explore"))
@@ -169,20 +150,6 @@ def test_what_is_supposed_is_told_so_and_what_was_measured_with_its_age(kb):
     assert "light 0 violates >= 0.1 (supposed)" in str(darker.explain("explore"))
     assert darker.why(darker.attributes["light"]).startswith("light is 0 (supposed)")
     assert darker.attributes["light"].time is None
-
-
-def test_a_situation_supposes_for_an_attribute_named_as_a_keyword_too():
-    model = Model("odd")
-    model.action("go", constraints=[model.quality_attribute("failed") <= 0.5])
-    kb = KnowledgeBase(model, clock=Clock())
-    assert not kb.situation({"failed": 1.0}).is_feasible("go")
-
-
-@pytest.mark.parametrize("view", ["actions", "components", "attributes"])
-def test_views_of_a_situation_are_not_views_of_its_base(kb, view):
-    situation = kb.situation(light=0.3)
-    name = next(iter(getattr(kb, view)))
-    assert getattr(situation, view)[name] != getattr(kb, view)[name]
 
 
 @pytest.mark.parametrize(
@@ -198,12 +165,6 @@ def test_views_of_a_situation_are_not_views_of_its_base(kb, view):
 def test_what_cannot_be_supposed_is_refused(kb, wrong, error, words):
     with pytest.raises(error, match=words):
         kb.situation(**wrong)
-
-
-@pytest.mark.parametrize("wrong", [5, ["light"], "light"])
-def test_what_is_measured_is_supposed_by_name(kb, wrong):
-    with pytest.raises(InvalidValue, match="values by name"):
-        kb.situation(wrong)
 
 
 @pytest.mark.parametrize("what", ["failed", "recovered", "requested"])

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import HealthCheck
 from models import Clock
 
-from kb import Event, KnowledgeBase, Model, ModelError, UnknownName
+from kb import Event, KnowledgeBase, Model, UnknownName
 
 SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
 
@@ -26,7 +26,7 @@ def kb(clock):
     return KnowledgeBase(model, clock=clock)
 
 
-def test_a_stale_measurement_counts_as_violated_where_the_model_says_so(kb, clock):
+def test_stale_measurement_violates_by_the_models_policy(kb, clock):
     assert kb.is_feasible("enter")  # never measured is not stale
     kb.measure("gas", 0.0)
     clock.now += 3.0
@@ -47,7 +47,7 @@ def test_one_who_listens_hears_that_a_measurement_is_stale(kb, clock):
         "light",
         "light is stale: measured 5.0 s ago, at most 5 s",
     )
-    assert [(one.name, one.new) for one in event.changes] == [
+    assert [(change.name, change.new) for change in event.changes] == [
         ("light >= 0.5", "not evaluated"),
         ("look", "feasible"),
     ]
@@ -66,18 +66,7 @@ def test_a_maximum_age_may_change_while_the_base_is_at_work(kb, clock):
     assert not kb.is_feasible("look")
 
 
-@pytest.mark.parametrize("age", [0, -1.0, float("nan"), "long", True, None])
-def test_a_maximum_age_is_a_time_above_zero(age):
-    with pytest.raises(ModelError, match="max_age of 'light' is a time in seconds above 0"):
-        Model("rover").quality_attribute("light", max_age=age)
-
-
-def test_an_unknown_policy_is_refused():
-    with pytest.raises(UnknownName, match="did you mean 'violated'"):
-        Model("rover").quality_attribute("light", max_age=1.0, when_stale="violatd")
-
-
-def test_what_is_measured_no_more_can_be_told_to_be_stale_and_replay_knows_it():
+def test_stale_can_be_recorded_early_and_replayed():
     def outlived(max_age):
         model = Model("m")
         light = model.environmental_attribute("light", max_age=max_age)

@@ -125,7 +125,7 @@ def some(options, most):
     """Every combination with repetition of none up to `most` of the options."""
     listed = list(options)
     sizes = range(most + 1)
-    return [one for size in sizes for one in itertools.combinations_with_replacement(listed, size)]
+    return [combination for size in sizes for combination in itertools.combinations_with_replacement(listed, size)]
 
 
 def cases(**spaces):
@@ -189,21 +189,6 @@ TABLES = {
         cases(constraints=CONSTRAINTS, functions=some(STATUSES_OF["function"], 3), required=BOTH),
     ),
 }
-LINES = [(kind, number) for kind, (_, lines, _) in TABLES.items() for number in range(len(lines))]
-PRECEDENCES = [
-    (kind, first, later)
-    for kind, (_, lines, _) in TABLES.items()
-    for first, later in itertools.combinations(range(len(lines)), 2)
-]
-NEVER_TOGETHER = {
-    ("constraint", 0, 1),  # what is not measured satisfies nothing
-    (
-        "function",
-        0,
-        2,
-    ),  # a selected design that is unfeasible is not in implicit configuration error
-    ("function", 0, 3),  # nor is it solved
-}
 
 
 def as_statuses(case):
@@ -224,66 +209,11 @@ def first_line(lines, case):
 @pytest.mark.parametrize("kind", TABLES)
 def test_status_is_that_of_the_first_line_that_holds(kind):
     table, lines, space = TABLES[kind]
-    assert len(space) >= 20
+    numbers = set()
     for case in space:
-        assert table(as_statuses(case)) == lines[first_line(lines, case)][0], case
-
-
-@pytest.mark.parametrize(("kind", "line"), LINES)
-def test_each_line_of_a_table_decides_at_least_one_case(kind, line):
-    table, lines, space = TABLES[kind]
-    decided = [case for case in space if first_line(lines, case) == line]
-    assert decided
-    assert {table(as_statuses(case)) for case in decided} == {lines[line][0]}
-
-
-@pytest.mark.parametrize(("kind", "first", "later"), PRECEDENCES)
-def test_a_line_comes_before_each_later_one_that_holds_too(kind, first, later):
-    table, lines, space = TABLES[kind]
-
-    def both_hold(case):
-        if kind == "constraint" and case["measured"] is None:
-            return later == 2 and first == 0
-        return first_line(lines, case) == first and lines[later][1](case)
-
-    both = [case for case in space if both_hold(case)]
-    if (kind, first, later) in NEVER_TOGETHER:
-        assert not both
-        return
-    assert both
-    assert {table(as_statuses(case)) for case in both} == {lines[first][0]}
-
-
-@pytest.mark.parametrize("kind", TABLES)
-def test_a_table_gives_a_status_object_and_never_a_bare_word(kind):
-    table, _, space = TABLES[kind]
-    assert all(type(table(as_statuses(case))) is Status for case in space)
-
-
-@pytest.mark.parametrize("kind", ["configuration", "component", "design", "function", "action"])
-def test_the_order_of_parts_does_not_matter(kind):
-    table, _, space = TABLES[kind]
-    collections = [key for key, value in space[0].items() if isinstance(value, tuple)]
-    assert collections
-    for case in space:
-        mirrored = {
-            key: value[::-1] if key in collections else value for key, value in case.items()
-        }
-        assert table(as_statuses(case)) is table(as_statuses(mirrored)), case
-
-
-def test_unknown_is_not_violated():
-    assert configuration_status([Status.NOT_EVALUATED]) is Status.FEASIBLE
-    assert constraint_status(None, ">=", 0.25) is Status.NOT_EVALUATED
-
-
-def test_a_required_action_that_requires_no_function_is_solved():
-    assert action_status(constraints=(), functions=(), required=True) is Status.SOLVED
-
-
-def test_a_selected_design_without_components_is_solved():
-    assert design_status(constraints=(), components=(), selected=True) is Status.SOLVED
-
-
-def test_a_function_without_designs_is_unfeasible():
-    assert function_status(designs=(), selected=(), required=False) is Status.UNFEASIBLE
+        number = first_line(lines, case)
+        status = table(as_statuses(case))
+        assert status == lines[number][0], case
+        assert type(status) is Status
+        numbers.add(number)
+    assert numbers == set(range(len(lines)))  # each line decides a case

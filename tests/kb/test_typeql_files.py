@@ -1,4 +1,4 @@
-"""Model files in the style of ROSA's, each with other constructs of TypeQL, are read as they are meant."""
+"""Model files in the style of ROSA's are read as they are meant."""
 
 from pathlib import Path
 
@@ -34,7 +34,11 @@ def test_elements_have_what_the_file_says():
     assert list(model.actions) == ["search_pipeline", "inspect_pipeline"]
     assert model.actions["search_pipeline"].functions == ("generate_search_path", "maintain_motion")
     assert list(model.functions) == ["generate_search_path", "maintain_motion", "follow_pipeline"]
-    assert [one.always_improve for one in model.functions.values()] == [True, False, False]
+    assert [function.always_improve for function in model.functions.values()] == [
+        True,
+        False,
+        False,
+    ]
     spiral = model.components["spiral_search"]
     assert (spiral.kind, spiral.package, spiral.executable) == (
         "lifecycle",
@@ -42,12 +46,12 @@ def test_elements_have_what_the_file_says():
         "spiral_search",
     )
     assert spiral.always_improve
-    kinds = [one.kind for one in model.components.values()]
+    kinds = [component.kind for component in model.components.values()]
     assert kinds == ["lifecycle", "process", "lifecycle", "plain", "plain"]
     assert model.designs["all_thrusters"].components == ("c_thruster_1", "c_thruster_2")
-    assert [one.priority for one in model.designs.values()] == [1, 1, 2, None]
+    assert [design.priority for design in model.designs.values()] == [1, 1, 2, None]
     assert model.attributes["water_visibility"].kind == "environmental"
-    assert [str(one) for one in model.constraints] == [
+    assert [str(constraint) for constraint in model.constraints] == [
         "water_visibility >= 3.25",
         "water_visibility >= 1.25",
     ]
@@ -69,7 +73,9 @@ def test_parameters_are_typed_and_may_be_shared():
 def test_later_file_extends_an_earlier_one():
     model = load("underwater", "underwater_extended")
     assert model.actions["recharge"].functions == ("maintain_motion", "recharge")
-    (shared,) = (one for one in model.constraints if one.attribute == "battery_level")
+    (shared,) = (
+        constraint for constraint in model.constraints if constraint.attribute == "battery_level"
+    )
     assert [one.name for one in shared.constrained] == ["search_pipeline", "inspect_pipeline"]
     (estimation,) = model.estimations
     assert (estimation.causer.name, estimation.value, estimation.kind) == (
@@ -98,8 +104,10 @@ def test_extension_without_what_it_extends_is_an_error():
 
 def test_facts_are_told_in_the_order_of_the_file():
     model = load("asserted")
-    explore, camera = model.actions["explore"], model.components["camera"]
-    design, config = model.designs["by camera"], model.configurations["day"]
+    explore = model.actions["explore"]
+    camera = model.components["camera"]
+    design = model.designs["by camera"]
+    config = model.configurations["day"]
     assert model.facts == (
         RequiredFact(explore),
         StatusFact(model.actions["stuck"], Status.UNFEASIBLE),

@@ -1,10 +1,8 @@
-"""Attributes that state a unit and a range: what is outside is refused, and every reason shows the unit."""
+"""Attributes with a unit and a range: what is outside is refused, and reasons show the unit."""
 
 import math
 
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
 from models import Clock
 
 from kb import InvalidValue, KnowledgeBase, Model, ModelError
@@ -100,12 +98,11 @@ def test_what_is_no_unit_or_range_is_refused(given, said):
 @pytest.mark.parametrize(
     ("constraint", "said"),
     [
-        (lambda one: one >= 20, "is never satisfied: battery_voltage is from 0 to 17 V"),
-        (lambda one: one < 0, "is never satisfied"),
-        (lambda one: one >= -1, "is never violated"),
-        (lambda one: one <= 17, "is never violated"),
-        (lambda one: (one >= 16).steady(hysteresis=2), "stays violated once it is"),
-        (lambda one: one >= 16, ""),
+        (lambda name: name >= 20, "is never satisfied: battery_voltage is from 0 to 17 V"),
+        (lambda name: name < 0, "is never satisfied"),
+        (lambda name: name >= -1, "is never violated"),
+        (lambda name: name <= 17, "is never violated"),
+        (lambda name: name >= 16, ""),
     ],
 )
 def test_the_judge_warns_of_a_constraint_that_the_range_decides(constraint, said):
@@ -116,26 +113,10 @@ def test_the_judge_warns_of_a_constraint_that_the_range_decides(constraint, said
     assert all(said in one and "(on sail)" in one for one in told)
 
 
-BOUNDS = st.floats(allow_nan=False) | st.integers(-(10**6), 10**6)
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    st.text(st.characters(exclude_categories=["Cs"]), max_size=12),
-    BOUNDS,
-    BOUNDS,
-)
-def test_units_and_ranges_survive_a_file(tmp_path_factory, unit, one, other):
-    low, high = sorted((float(one), float(other)))
-    assume(low < math.inf and high > -math.inf)
-    unit = unit if unit.isprintable() else ""  # no XML has control characters
-    model = Model("boat")
-    model.quality_attribute("voltage", unit=unit, low=low, high=high)
-    path = tmp_path_factory.mktemp("units") / "boat.owl"
-    model.save(path)
-    loaded = Model.load(path)
-    assert loaded == model
-    assert (loaded.attributes["voltage"].unit, loaded.attributes["voltage"].low) == (unit, low)
+def test_units_and_ranges_survive_a_file(tmp_path):
+    model = boat(low=-1e-300, high=math.inf, unit="°C \U0001f321")
+    model.save(tmp_path / "boat.owl")
+    assert Model.load(tmp_path / "boat.owl") == model
 
 
 def test_ranges_are_kept_in_a_store(tmp_path):

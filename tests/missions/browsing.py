@@ -38,7 +38,9 @@ class Visit:
 
     def elsewhere(self, *own):
         """Return the requests that went anywhere but to where these begin."""
-        return [one for one in self.requests if not one.startswith(("data:", "blob:", *own))]
+        return [
+            request for request in self.requests if not request.startswith(("data:", "blob:", *own))
+        ]
 
 
 @contextmanager

@@ -7,6 +7,7 @@ import time
 from contextlib import suppress
 from typing import NamedTuple
 
+from ros_rig import until
 from rosbridge_double import RosbridgeDouble
 
 from missions.wires.node import RosError
@@ -14,7 +15,7 @@ from missions.wires.rosbridge import Rosbridge
 
 
 class Outcome(NamedTuple):
-    """How many requests were acknowledged, and of these how many the other side never got, or got twice."""
+    """Requests that were acknowledged, and of these those that never arrived, or arrived twice."""
 
     acknowledged: int
     lost: int
@@ -22,46 +23,40 @@ class Outcome(NamedTuple):
 
 
 class Wire:
-    """Passes on bytes between a port of its own and another, until it is cut; then it passes on anew."""
+    """Passes on bytes to another port, until it is cut; then it passes on anew."""
 
-    def __init__(self, port, own=0):
-        self._to, self._pairs = port, []
-        self._listening = socket.create_server(("127.0.0.1", own))
+    def __init__(self, port):
+        self._to, self._sockets = port, []
+        self._listening = socket.create_server(("127.0.0.1", 0))
         self.port = self._listening.getsockname()[1]
         threading.Thread(target=self._accept, daemon=True).start()
 
     def _accept(self):
-        while True:
-            try:
+        with suppress(OSError):
+            while True:
                 near, _ = self._listening.accept()
                 far = socket.create_connection(("127.0.0.1", self._to))
-            except OSError:
-                return
-            self._pairs.append((near, far))
-            for one, other in ((near, far), (far, near)):
-                threading.Thread(target=self._pass_on, args=(one, other), daemon=True).start()
+                self._sockets += [near, far]
+                for pair in ((near, far), (far, near)):
+                    threading.Thread(target=self._pass_on, args=pair, daemon=True).start()
 
-    def _pass_on(self, one, other):
-        try:
-            while data := one.recv(4096):
-                other.sendall(data)
-        except OSError:
-            pass
-        finally:
-            one.close()
-            other.close()
+    def _pass_on(self, source, target):
+        with suppress(OSError):
+            while data := source.recv(4096):
+                target.sendall(data)
+        for end in (source, target):
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)  # wakes who receives
+            end.close()
 
     def cut(self):
-        while self._pairs:
-            for one in self._pairs.pop():
-                with suppress(OSError):
-                    one.shutdown(socket.SHUT_RDWR)
+        while self._sockets:
+            with suppress(OSError):
+                self._sockets.pop().shutdown(socket.SHUT_RDWR)
 
     def close(self):
         with suppress(OSError):
-            self._listening.shutdown(
-                socket.SHUT_RDWR
-            )  # who waits for the next is woken, and lets go of the port
+            self._listening.shutdown(socket.SHUT_RDWR)  # wakes who accepts
         self._listening.close()
         self.cut()
 
@@ -69,11 +64,11 @@ class Wire:
 def requests_through_cuts(seed, *, cuts):
     """Have a node request and publish over a wire that is cut so many times, at random."""
     rng, server = random.Random(seed), RosbridgeDouble()
-    got, heard = [], []
-    server.serve("/do", "x", lambda one: got.append(one["number"]) or {"number": one["number"]})
-    server.subscribe("/events", "", lambda one: heard.append(one["number"]))
-    wire = Wire(server.port)
-    node, acknowledged, stop = Rosbridge(f"ws://127.0.0.1:{wire.port}"), [], threading.Event()
+    arrived, heard, acknowledged = [], [], []
+    server.serve("/do", "x", lambda request: arrived.append(request["number"]) or request)
+    server.subscribe("/events", "", lambda message: heard.append(message["number"]))
+    wire, stop = Wire(server.port), threading.Event()
+    node = Rosbridge(f"ws://127.0.0.1:{wire.port}")
 
     def request():
         number = 0
@@ -81,29 +76,26 @@ def requests_through_cuts(seed, *, cuts):
             number += 1
             try:
                 acknowledged.append(node.call("/do", "", {"number": number}).result(60)["number"])
-            except RosError:
-                time.sleep(
-                    0.01
-                )  # it is not known whether it was done: it is told as failed and never sent again
+            except RosError:  # it is not known whether it was done, so it is never sent again
+                time.sleep(0.01)
             node.publish("/events", "", {"number": number})
+
+    def wait():
+        after = len(acknowledged)
+        until(lambda: len(acknowledged) >= after + 3)
 
     thread = threading.Thread(target=request)
     thread.start()
     try:
         for _ in range(cuts):
-            is_back, after = time.monotonic() + 60, len(acknowledged)
-            while len(acknowledged) < after + 3 and time.monotonic() < is_back:
-                time.sleep(0.005)
+            wait()
             time.sleep(rng.uniform(0.0, 0.05))
             wire.cut()
-        after = len(acknowledged)
-        while len(acknowledged) < after + 3:
-            time.sleep(0.005)
+        wait()
     finally:
         stop.set()
         thread.join()
-        node.close()
-        wire.close()
-        server.close()
-    twice = len(got) - len(set(got)) + len(heard) - len(set(heard))
-    return Outcome(len(acknowledged), len(set(acknowledged) - set(got)), twice)
+        for part in (node, wire, server):
+            part.close()
+    doubled = sum(len(numbers) - len(set(numbers)) for numbers in (arrived, heard))
+    return Outcome(len(acknowledged), len(set(acknowledged) - set(arrived)), doubled)

@@ -44,14 +44,14 @@ def main() -> None:
         sys.exit("no chromium on this machine: apt-get install chromium")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(QUIET))
-        for one in PICTURES:
-            report, target = DOCS / f"{one.name}.html", DOCS / f"{one.name}.png"
-            write_report(report, recorded(one.mission, one.task))
-            width, height = one.size
+        for picture in PICTURES:
+            report, target = DOCS / f"{picture.name}.html", DOCS / f"{picture.name}.png"
+            write_report(report, recorded(picture.mission, picture.task))
+            width, height = picture.size
             page = browser.new_page(
-                viewport={"width": width, "height": height}, color_scheme=one.scheme
+                viewport={"width": width, "height": height}, color_scheme=picture.scheme
             )
-            page.goto(report.as_uri() + one.link)
+            page.goto(report.as_uri() + picture.link)
             page.wait_for_selector(".chain")
             page.wait_for_timeout(500)  # canvases are drawn after the first paint
             page.screenshot(path=target)

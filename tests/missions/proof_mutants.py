@@ -1,8 +1,6 @@
 """Small missions for verification: correct ones, and the same with one bug seeded in each."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 from py_trees.behaviour import Behaviour
 from py_trees.behaviours import Failure, Running, Success
@@ -12,7 +10,7 @@ from py_trees.decorators import Decorator, Inverter, OneShot, RunningIsFailure, 
 
 from kb import Model
 from kb.planning import PriorityPlanner
-from missions.proof import Leaf, always, eventually, leads_to, never
+from missions.proof import Leaf, always, eventually, never
 from rosa_bt import (
     ForAction,
     HasStatus,
@@ -29,35 +27,33 @@ from rosa_bt.decorators import UntilSuccess
 
 def rover_model(
     *,
-    energy: str = ">=",
-    needed: float = 0.25,
-    night: float | None = 2.0,
-    radar: tuple[str, ...] = ("radar",),
-    designs: bool = True,
-    improves: bool = True,
-    dark: float | None = None,
-    used: bool = True,
-) -> Callable[[], Model]:
+    upwards=True,
+    needed=0.25,
+    night=2.0,
+    radar=("radar",),
+    designs=True,
+    improves=True,
+    dark=9.0,
+):
     def make():
         model = Model("rover")
         level = model.quality_attribute("energy", low=0.0, high=1.0)
         light = model.environmental_attribute("light", low=0.0)
+        parts = {name: model.component(name, kind="lifecycle") for name in ("radar", "wheels")}
         camera = model.component("camera", kind="lifecycle", always_improve=improves)
-        day = [light >= 0.5] if dark is None else [light >= 0.5, light <= dark]
+        parts["camera"] = camera
+        day = [light >= 0.5, *([light <= dark] if dark < 9.0 else [])]
         camera.configuration("day", {"exposure": 0.01}, priority=1, constraints=day)
         camera.configuration("night", {"exposure": 0.2}, priority=night)
-        others = [model.component(name, kind="lifecycle") for name in ("radar", "wheels", "arm")]
-        by_name = {"camera": camera, **dict(zip(("radar", "wheels", "arm"), others, strict=True))}
-        see, move = model.function("see", always_improve=improves), model.function("move")
+        see = model.function("see", always_improve=improves)
+        move = model.function("move")
         if designs:
             see.design("by_camera", [camera], priority=1)
-            see.design("by_radar", [by_name[name] for name in radar], priority=2)
-        move.design("by_wheels", [by_name["wheels"]], priority=1)
-        condition = {">=": level >= needed, "<=": level <= needed}[energy]
-        model.action("explore", requires=[see, move], constraints=[condition])
+            see.design("by_radar", [parts[name] for name in radar], priority=2)
+        move.design("by_wheels", [parts["wheels"]], priority=1)
+        enough = level >= needed if upwards else level <= needed
+        model.action("explore", requires=[see, move], constraints=[enough])
         model.action("charge", requires=[move])
-        if not used:
-            model.action("dance")
         return model
 
     return make
@@ -91,14 +87,10 @@ class Cancels(Decorator):
 
 
 class Requests(Decorator):
-    """Requests an action by itself and never gives it back."""
-
-    def __init__(self, name, kb, action, child):
-        super().__init__(name, child)
-        self.kb, self.action_name = kb, action
+    """Requests to charge by itself and never gives it back."""
 
     def update(self):
-        self.kb.request_action(self.action_name)
+        self.decorated.kb.request_action("charge")
         return self.decorated.status
 
 
@@ -118,9 +110,7 @@ class Leaves(Selector):
 class Latch(Decorator):
     """Fails for ever once its child has failed."""
 
-    def __init__(self, name, child):
-        super().__init__(name, child)
-        self.is_over = False
+    is_over = False
 
     def tick(self):
         if self.is_over:
@@ -147,12 +137,10 @@ class Restless:
     def plan(self, kb):
         if kb.components["camera"].is_required or kb.adaptable_functions():
             other = "night" if kb.configurations["day"].is_selected else "day"
-            designs = {"see": "by_camera", "move": "by_wheels"}
-            is_possible = kb.configurations[other].status != "unfeasible" and kb.is_feasible(
-                "explore"
-            )
+            is_possible = kb.configurations[other].status != "unfeasible"
+            is_possible &= kb.is_feasible("explore")
             if is_possible and kb.designs["by_camera"].status != "unfeasible":
-                return kb.select(designs, {"camera": other})
+                return kb.select({"see": "by_camera", "move": "by_wheels"}, {"camera": other})
         return PriorityPlanner().plan(kb)
 
 
@@ -164,46 +152,77 @@ class Stubborn:
 
 
 class Half:
-    """Chooses designs and no configurations."""
+    """Chooses for one of the functions only."""
 
     def plan(self, kb):
-        return (
-            kb.select({"see": "by_camera"}, {"camera": "night"})
-            if "see" in kb.adaptable_functions()
-            else None
-        )
+        if "see" in kb.adaptable_functions():
+            return kb.select({"see": "by_camera"}, {"camera": "night"})
+        return None
+
+
+FULL = {
+    "start": {"energy": 0.625, "light": 1.5},
+    "exclusive": [("explore", "charge")],
+    "failing": ("camera", "radar", "wheels"),
+}
 
 
 @dataclass
 class Case:
+    """A mission, and which property is broken; `options` are those of `verify`, instead of FULL's."""
+
     name: str
-    build: Callable[..., Behaviour]
-    model: Callable[[], Model] = field(default_factory=rover_model)
+    build: object
     broken: str = ""
-    given: dict[str, Any] = field(default_factory=dict)
+    model: object = field(default_factory=rover_model)
     wanted: tuple = ()
+    options: dict = field(default_factory=dict)
+
+    @property
+    def arguments(self):
+        return {**FULL, "wanted": self.wanted, **self.options}
 
 
-def explore(kb, **given):
-    return Act("explore", kb, "explore", **given)
+def explore(kb, **options):
+    return Act("explore", kb, "explore", **options)
 
 
-def charge(kb, **given):
-    return Act("charge", kb, "charge", **given)
+def charge(kb, **options):
+    return Act("charge", kb, "charge", **options)
+
+
+def rough(kb):
+    return explore(kb, even_if_unfeasible=True)
+
+
+def acts(kb):
+    return feasible_then_act(explore(kb))
 
 
 def until(child):
     return UntilSuccess("until explored", child)
 
 
+def select(*children, memory=False):
+    return until(Selector("mission", memory, [*children]))
+
+
+def in_turn(*children, memory=False):
+    return until(Sequence("mission", memory, [*children]))
+
+
+def onward(child):
+    return SuccessIsFailure("then go on", child)
+
+
 def either(kb, first=None, second=None, *, memory=False):
     """Explore if feasible, charge otherwise."""
-    second = SuccessIsFailure("then go on", second or feasible_then_act(charge(kb)))
-    return until(
-        Selector(
-            "mission", memory=memory, children=[first or feasible_then_act(explore(kb)), second]
-        )
-    )
+    second = onward(second or feasible_then_act(charge(kb)))
+    return select(first or acts(kb), second, memory=memory)
+
+
+def give_way(kb, task=None, other=None, **options):
+    return until(do_until_unfeasible(task or explore(kb), other or charge(kb), **options))
 
 
 def guarded(kb, condition, task, *, memory=False):
@@ -214,29 +233,43 @@ def asks(kb, action="explore"):
     return IsActionFeasible("feasible?", kb, action)
 
 
-def rough(kb, **given):
-    return explore(kb, even_if_unfeasible=True, **given)
+def has(kb, status):
+    return HasStatus("status?", kb, kb.actions["explore"], status)
 
 
-FULL = {
-    "start": {"energy": 0.625, "light": 1.5},
-    "exclusive": [("explore", "charge")],
-    "failing": ("camera", "radar", "wheels"),
-}
-CHARGES = Leaf(effects={"S": {"energy": 0.625}})
+def enough(kb, limit=0.25, operator=">=", unknown=Status.FAILURE):
+    return Measurement("enough?", kb, "energy", operator, limit, unknown=unknown)
+
+
+def behind(guard, task=rough, **options):
+    """Return what builds the tree in which this guard is before the exploration."""
+    return lambda kb: either(kb, guarded(kb, guard(kb), task(kb), **options))
+
+
+def wrapped(decorate, task=acts):
+    """Return what builds the tree in which the exploration is decorated."""
+    return lambda kb: either(kb, decorate(task(kb)))
+
+
+def beside(policy, *tasks):
+    return until(Parallel("both", policy, [*tasks]))
+
+
+ALL, FIRST = ParallelPolicy.SuccessOnAll, ParallelPolicy.SuccessOnOne
+CHARGES = {"leaves": {"charge": Leaf(effects={"S": {"energy": 0.625}})}}
 WORKS = {"leaves": {"explore": Leaf("RS")}}
 
 ONLY_IF_NEEDED = never(
     "it does not charge while it could explore",
     lambda rig: rig.is_required("charge") and rig.kb.is_feasible("explore"),
 )
-DAY = leads_to(
+DAY = always(
     "by day the camera is set for the day",
-    lambda rig: (rig.measured("light") or 0) >= 0.5 and rig.kb.components["camera"].is_active,
     lambda rig: (
-        rig.kb.configurations["day"].is_selected or not rig.kb.components["camera"].is_active
+        (rig.measured("light") or 0) < 0.5
+        or not rig.kb.components["camera"].is_active
+        or rig.kb.configurations["day"].is_selected
     ),
-    within=0,
 )
 ENOUGH = always(
     "it explores with enough energy only",
@@ -246,11 +279,12 @@ STILL = eventually(
     "it can explore again",
     lambda rig: rig.is_required("explore") or rig.root.status is Status.SUCCESS,
 )
-
 CHARGED = never(
     "charged it can explore",
     lambda rig: (
-        rig.measured("energy") in (0.625, 0.1) and not (rig.kb.is_feasible("explore") or rig.failed)
+        rig.measured("energy") in (0.625, 0.1)
+        and not rig.kb.is_feasible("explore")
+        and not rig.read().failed
     ),
 )
 OVER = never(
@@ -260,265 +294,123 @@ OVER = never(
 UNFEASIBLE, RELEASED, TOGETHER = "unfeasible for longer", "released once", "exclude each other"
 GOAL, STUCK, WAVERS = "goal is reached if", "not stuck", "waver"
 NODES, ADAPTS, MANAGER = "every node", "every adaptation", "the manager keeps"
+IDLE = "does not charge"
 
 
-def _give_way(kb, task=None, other=None, **given):
-    return until(do_until_unfeasible(task or explore(kb), other or charge(kb), **given))
+def rover(**options):
+    return {"model": rover_model(**options)}
 
+
+def chosen_by(planner):
+    return {"options": {"planner": planner}}
+
+
+NEEDED = {"wanted": (ONLY_IF_NEEDED,), "options": WORKS}
 
 MUTANTS = [
     # guards
-    Case("no guard", lambda kb: either(kb, rough(kb)), broken=UNFEASIBLE),
-    Case(
-        "guard with memory",
-        lambda kb: either(kb, guarded(kb, asks(kb), rough(kb), memory=True)),
-        broken=UNFEASIBLE,
-    ),
-    Case(
-        "guard asks another",
-        lambda kb: either(kb, guarded(kb, asks(kb, "charge"), rough(kb))),
-        broken=UNFEASIBLE,
-    ),
-    Case(
-        "threshold too low",
-        lambda kb: either(
-            kb, guarded(kb, Measurement("enough?", kb, "energy", ">=", 0.1), rough(kb))
-        ),
-        broken=UNFEASIBLE,
-    ),
-    Case(
-        "operator the wrong way",
-        lambda kb: either(
-            kb, guarded(kb, Measurement("enough?", kb, "energy", "<", 0.25), explore(kb))
-        ),
-        broken=GOAL,
-    ),
-    Case(
-        "unknown is enough",
-        lambda kb: either(
-            kb,
-            guarded(
-                kb,
-                Measurement("enough?", kb, "energy", ">=", 0.25, unknown=Status.SUCCESS),
-                rough(kb),
-            ),
-        ),
-        broken=UNFEASIBLE,
-    ),
+    Case("no guard", lambda kb: either(kb, rough(kb)), UNFEASIBLE),
+    Case("guard with memory", behind(asks, memory=True), UNFEASIBLE),
+    Case("guard asks another", behind(lambda kb: asks(kb, "charge")), UNFEASIBLE),
+    Case("threshold too low", behind(lambda kb: enough(kb, 0.1)), UNFEASIBLE),
+    Case("operator the wrong way", behind(lambda kb: enough(kb, operator="<"), explore), GOAL),
+    Case("unknown is enough", behind(lambda kb: enough(kb, unknown=Status.SUCCESS)), UNFEASIBLE),
     Case(
         "charging goes on with failed wheels",
         lambda kb: either(kb, second=charge(kb, even_if_unfeasible=True)),
-        broken=UNFEASIBLE,
+        UNFEASIBLE,
     ),
     Case(
         "no guard while it gives way",
-        lambda kb: _give_way(kb, Inverter("not", Inverter("not", rough(kb)))),
-        broken=UNFEASIBLE,
+        lambda kb: give_way(kb, Inverter("not", Inverter("not", rough(kb)))),
+        UNFEASIBLE,
     ),
     Case(
         "guard behind the action",
         lambda kb: either(kb, guarded(kb, rough(kb), asks(kb))),
-        broken=UNFEASIBLE,
+        UNFEASIBLE,
     ),
     Case(
         "guard beside the action",
-        lambda kb: either(
-            kb,
-            Parallel("both", ParallelPolicy.SuccessOnAll(synchronise=True), [asks(kb), rough(kb)]),
-        ),
-        broken=UNFEASIBLE,
+        lambda kb: either(kb, Parallel("both", ALL(synchronise=True), [asks(kb), rough(kb)])),
+        UNFEASIBLE,
     ),
-    Case(
-        "guard asks for a status",
-        lambda kb: either(
-            kb, guarded(kb, HasStatus("f?", kb, kb.actions["explore"], "feasible"), explore(kb))
-        ),
-        broken=WAVERS,
-    ),
-    Case(
-        "guard asks for solved",
-        lambda kb: either(
-            kb, guarded(kb, HasStatus("s?", kb, kb.actions["explore"], "solved"), explore(kb))
-        ),
-        broken=GOAL,
-    ),
+    Case("guard asks for a status", behind(lambda kb: has(kb, "feasible"), explore), WAVERS),
+    Case("guard asks for solved", behind(lambda kb: has(kb, "solved"), explore), GOAL),
     # order and memory
-    Case(
-        "memory in the choice",
-        lambda kb: either(kb, memory=True),
-        wanted=(ONLY_IF_NEEDED,),
-        broken="does not charge",
-        given=WORKS,
-    ),
-    Case(
-        "priority swapped",
-        lambda kb: until(
-            Selector("m", memory=False, children=[SuccessIsFailure("on", charge(kb)), explore(kb)])
-        ),
-        wanted=(ONLY_IF_NEEDED,),
-        broken="does not charge",
-        given=WORKS,
-    ),
-    Case("task and other swapped", lambda kb: _give_way(kb, charge(kb), explore(kb)), broken=NODES),
-    Case(
-        "finishes charging",
-        lambda kb: _give_way(kb, memory=True),
-        wanted=(ONLY_IF_NEEDED,),
-        broken="does not charge",
-        given=WORKS,
-    ),
-    Case(
-        "gives up for ever",
-        lambda kb: either(kb, Latch("latch", feasible_then_act(explore(kb)))),
-        broken=STUCK,
-    ),
+    Case("memory in the choice", lambda kb: either(kb, memory=True), IDLE, **NEEDED),
+    Case("priority swapped", lambda kb: select(onward(charge(kb)), explore(kb)), IDLE, **NEEDED),
+    Case("task and other swapped", lambda kb: give_way(kb, charge(kb), explore(kb)), NODES),
+    Case("finishes charging", lambda kb: give_way(kb, memory=True), IDLE, **NEEDED),
+    Case("gives up for ever", wrapped(lambda task: Latch("latch", task)), STUCK),
     Case(
         "charges once only",
-        lambda kb: _give_way(kb, OneShot("once", explore(kb), OneShotPolicy.ON_COMPLETION)),
-        broken=STUCK,
+        lambda kb: give_way(kb, OneShot("once", explore(kb), OneShotPolicy.ON_COMPLETION)),
+        STUCK,
     ),
     Case(
         "latch cannot come back",
-        lambda kb: either(kb, Latch("latch", explore(kb))),
+        wrapped(lambda task: Latch("latch", task), explore),
+        "can explore again",
         wanted=(STILL,),
-        broken="can explore again",
     ),
-    Case(
-        "running leaf first",
-        lambda kb: until(Selector("m", memory=False, children=[Running("wait"), explore(kb)])),
-        broken=NODES,
-    ),
-    Case(
-        "behind a failure",
-        lambda kb: until(Sequence("m", memory=False, children=[Failure("no"), explore(kb)])),
-        broken=NODES,
-    ),
-    Case(
-        "behind a success",
-        lambda kb: until(Selector("m", memory=False, children=[Success("yes"), explore(kb)])),
-        broken=NODES,
-    ),
+    Case("running leaf first", lambda kb: select(Running("wait"), explore(kb)), NODES),
+    Case("behind a failure", lambda kb: in_turn(Failure("no"), explore(kb)), NODES),
+    Case("behind a success", lambda kb: select(Success("yes"), explore(kb)), NODES),
     Case(
         "success turned round",
-        lambda kb: until(Inverter("not", feasible_then_act(explore(kb)))),
-        broken="over only when",
+        lambda kb: until(Inverter("not", acts(kb))),
+        "over only when",
         wanted=(OVER,),
     ),
-    Case(
-        "success hidden",
-        lambda kb: until(SuccessIsFailure("no", feasible_then_act(explore(kb)))),
-        broken=GOAL,
-    ),
-    Case(
-        "never long enough",
-        lambda kb: either(kb, RunningIsFailure("now", feasible_then_act(explore(kb)))),
-        wanted=(ONLY_IF_NEEDED,),
-        broken="does not charge",
-        given=WORKS,
-    ),
-    Case(
-        "waits before it requests",
-        lambda kb: until(
-            Sequence(
-                "m",
-                memory=False,
-                children=[HasStatus("ready?", kb, "explore", "solved"), explore(kb)],
-            )
-        ),
-        broken=GOAL,
-    ),
+    Case("success hidden", lambda kb: until(SuccessIsFailure("no", acts(kb))), GOAL),
+    Case("never long enough", wrapped(lambda task: RunningIsFailure("now", task)), IDLE, **NEEDED),
+    Case("waits before it requests", lambda kb: in_turn(has(kb, "solved"), explore(kb)), GOAL),
     # requests
     Case(
         "request kept",
         lambda kb: either(kb, feasible_then_act(Keeps("explore", kb, "explore"))),
-        broken=RELEASED,
+        RELEASED,
     ),
     Case(
         "request of the other kept",
         lambda kb: either(kb, second=Keeps("charge", kb, "charge")),
-        broken=RELEASED,
+        RELEASED,
     ),
-    Case("request taken back", lambda kb: either(kb, Cancels("c", explore(kb))), broken=RELEASED),
-    Case(
-        "request beside the tree",
-        lambda kb: either(kb, Requests("r", kb, "charge", explore(kb))),
-        broken=RELEASED,
-    ),
+    Case("request taken back", wrapped(lambda task: Cancels("c", task), explore), RELEASED),
+    Case("request beside the tree", wrapped(lambda task: Requests("r", task), explore), RELEASED),
     Case(
         "child left running",
-        lambda kb: until(Leaves("m", memory=False, children=[explore(kb), charge(kb)])),
-        broken=TOGETHER,
+        lambda kb: until(Leaves("m", False, [explore(kb), charge(kb)])),
+        TOGETHER,
     ),
     Case(
-        "both at once",
-        lambda kb: until(
-            Parallel("m", ParallelPolicy.SuccessOnAll(synchronise=False), [explore(kb), charge(kb)])
-        ),
-        broken=TOGETHER,
+        "both at once", lambda kb: beside(ALL(synchronise=False), explore(kb), charge(kb)), TOGETHER
     ),
-    Case(
-        "one of two is enough",
-        lambda kb: until(
-            Parallel(
-                "m", ParallelPolicy.SuccessOnOne(), [charge(kb), feasible_then_act(explore(kb))]
-            )
-        ),
-        broken=TOGETHER,
-    ),
+    Case("one of two is enough", lambda kb: beside(FIRST(), charge(kb), acts(kb)), TOGETHER),
     # models
-    Case("no design", lambda kb: either(kb), rover_model(designs=False), GOAL),
+    Case("no design", either, GOAL, **rover(designs=False)),
     Case(
-        "constraint the wrong way",
-        lambda kb: either(kb),
-        rover_model(energy="<="),
-        "enough energy",
-        wanted=(ENOUGH,),
+        "constraint the wrong way", either, "enough energy", rover_model(upwards=False), (ENOUGH,)
     ),
-    Case(
-        "threshold too high",
-        lambda kb: either(kb),
-        rover_model(needed=0.99),
-        "charged it can explore",
-        {"leaves": {"charge": CHARGES}},
-        (CHARGED,),
-    ),
-    Case("threshold out of range", lambda kb: either(kb), rover_model(needed=1.5), GOAL),
-    Case("configuration contradicts itself", lambda kb: either(kb), rover_model(dark=0.3), ADAPTS),
-    Case("configuration never preferred", lambda kb: either(kb), rover_model(night=0.5), ADAPTS),
-    Case(
-        "design needs what failed",
-        lambda kb: either(kb),
-        rover_model(radar=("camera", "radar")),
-        ADAPTS,
-    ),
-    Case(
-        "not always improved",
-        lambda kb: either(kb),
-        rover_model(improves=False),
-        "set for the day",
-        wanted=(DAY,),
-    ),
+    Case("threshold too high", either, "charged", rover_model(needed=0.99), (CHARGED,), CHARGES),
+    Case("threshold out of range", either, GOAL, **rover(needed=1.5)),
+    Case("configuration contradicts itself", either, ADAPTS, **rover(dark=0.3)),
+    Case("configuration never preferred", either, ADAPTS, **rover(night=0.5)),
+    Case("design needs what failed", either, ADAPTS, **rover(radar=("camera", "radar"))),
+    Case("not always improved", either, "for the day", rover_model(improves=False), (DAY,)),
     # choosing, and leaves
-    Case("chooses nothing", lambda kb: either(kb), broken=MANAGER, given={"planner": Idle}),
-    Case(
-        "chooses anew each time", lambda kb: either(kb), broken=MANAGER, given={"planner": Restless}
-    ),
-    Case(
-        "chooses what has failed",
-        lambda kb: either(kb),
-        broken=MANAGER,
-        given={"planner": Stubborn},
-    ),
-    Case("chooses one thing only", lambda kb: either(kb), broken=MANAGER, given={"planner": Half}),
-    Case(
-        "never done", lambda kb: either(kb), broken=GOAL, given={"leaves": {"explore": Leaf("RF")}}
-    ),
+    Case("chooses nothing", either, MANAGER, **chosen_by(Idle)),
+    Case("chooses anew each time", either, MANAGER, **chosen_by(Restless)),
+    Case("chooses what has failed", either, MANAGER, **chosen_by(Stubborn)),
+    Case("chooses one thing only", either, MANAGER, **chosen_by(Half)),
+    Case("never done", either, GOAL, options={"leaves": {"explore": Leaf("RF")}}),
     Case(
         "charging is in vain",
-        lambda kb: either(kb),
-        broken="charged it can explore",
-        given={"leaves": {"charge": Leaf("RS", {"S": {"energy": 0.1}})}},
+        either,
+        "charged it can explore",
         wanted=(CHARGED,),
+        options={"leaves": {"charge": Leaf("RS", {"S": {"energy": 0.1}})}},
     ),
 ]
 
@@ -527,107 +419,69 @@ def fetching_model():
     model = Model("fetcher")
     for action, part in (("drive", "wheels"), ("look", "camera")):
         component = model.component(part, kind="lifecycle")
-        model.action(
-            action,
-            requires=[model.function(f"can {action}").design(f"by {part}", [component]).function],
-        )
+        able = model.function(f"can {action}").design(f"by {part}", [component]).function
+        model.action(action, requires=[able])
     return model
 
 
-def _fetch(kb):
-    """Drive there, and then look: when the wheels have failed since, that is still possible."""
-    children = [Act("drive", kb, "drive"), Act("look", kb, "look")]
-    return until(Sequence("fetch", memory=True, children=children))
+def step(kb, name):
+    drive = ForAction(name, kb, "explore", Work(f"drive {name}"))
+    return do_until_unfeasible(drive, Act(f"charge for {name}", kb, "charge"))
+
+
+def for_action(kb, name="explore"):
+    return ForAction(name, kb, name, Work(f"work on {name}"))
+
+
+def twice(task):
+    return Inverter("a", Inverter("b", task))
 
 
 CORRECT = [
-    Case("either", lambda kb: either(kb)),
-    Case("gives way", _give_way),
-    Case("gives way with memory", lambda kb: _give_way(kb, memory=True)),
+    Case("either", either),
+    Case("gives way", give_way),
+    Case("gives way with memory", lambda kb: give_way(kb, memory=True)),
+    Case("for action", lambda kb: give_way(kb, for_action(kb))),
+    Case("two for actions", lambda kb: either(kb, for_action(kb), for_action(kb, "charge"))),
     Case(
-        "for action",
-        lambda kb: _give_way(kb, ForAction("explore", kb, "explore", Work("drive")), charge(kb)),
-    ),
-    Case(
-        "two for actions",
-        lambda kb: either(
-            kb,
-            ForAction("e", kb, "explore", Work("drive")),
-            ForAction("c", kb, "charge", Work("stand")),
-        ),
-    ),
-    Case(
-        "first feasible",
-        lambda kb: until(first_feasible("m", [explore(kb), SuccessIsFailure("on", charge(kb))])),
+        "first feasible", lambda kb: until(first_feasible("m", [explore(kb), onward(charge(kb))]))
     ),
     Case(
         "first feasible with memory",
-        lambda kb: until(
-            first_feasible("m", [explore(kb), SuccessIsFailure("on", charge(kb))], memory=True)
-        ),
+        lambda kb: until(first_feasible("m", [explore(kb), onward(charge(kb))], memory=True)),
     ),
-    Case(
-        "guarded twice",
-        lambda kb: either(kb, guarded(kb, asks(kb), feasible_then_act(explore(kb)))),
-    ),
-    Case("guarded though rough", lambda kb: either(kb, guarded(kb, asks(kb), rough(kb)))),
-    Case(
-        "asks what is measured",
-        lambda kb: either(kb, guarded(kb, Measurement("m", kb, "energy", ">=", 0.5), explore(kb))),
-    ),
+    Case("guarded twice", behind(asks, acts)),
+    Case("guarded though rough", behind(asks)),
+    Case("asks what is measured", behind(lambda kb: enough(kb, 0.5), explore)),
+    Case("asks for more than is needed", behind(lambda kb: enough(kb, 0.5), acts)),
     Case(
         "waits for the robot",
-        lambda kb: _give_way(kb, explore(kb, wait=True), charge(kb, wait=True)),
+        lambda kb: give_way(kb, explore(kb, wait=True), charge(kb, wait=True)),
     ),
-    Case(
-        "waits though the manager is slow",
-        lambda kb: _give_way(kb, explore(kb, wait=True), charge(kb, wait=True)),
-        given={"slow": True},
-    ),
-    Case("slow manager", lambda kb: either(kb), given={"slow": True}),
-    Case("two failures", lambda kb: either(kb), given={"failures": 2}),
-    Case("two changes", lambda kb: _give_way(kb), given={"at_once": 2}),
-    Case(
-        "unguarded but given up by itself",
-        lambda kb: until(
-            Selector("m", memory=False, children=[explore(kb), SuccessIsFailure("on", charge(kb))])
-        ),
-    ),
-    Case(
-        "inverted twice",
-        lambda kb: either(kb, Inverter("a", Inverter("b", feasible_then_act(explore(kb))))),
-    ),
-    Case(
-        "in steps",
-        lambda kb: until(Sequence("m", memory=True, children=[_step(kb, "one"), _step(kb, "two")])),
-    ),
+    Case("two failures", either, options={"failures": 2}),
+    Case("two changes", give_way, options={"at_once": 2}),
+    Case("unguarded but given up by itself", lambda kb: select(explore(kb), onward(charge(kb)))),
+    Case("inverted twice", wrapped(twice)),
+    Case("inverted twice without a guard", wrapped(twice, explore)),
+    Case("in steps", lambda kb: in_turn(step(kb, "one"), step(kb, "two"), memory=True)),
     Case(
         "beside a watch",
-        lambda kb: either(
-            kb, Parallel("p", ParallelPolicy.SuccessOnOne(), [explore(kb), Running("watch")])
-        ),
+        wrapped(lambda task: Parallel("p", FIRST(), [task, Running("watch")]), explore),
     ),
     Case(
         "steps that need what has failed since",
-        _fetch,
-        fetching_model,
-        given={"start": {}, "failing": None, "exclusive": ()},
+        lambda kb: in_turn(Act("drive", kb, "drive"), Act("look", kb, "look"), memory=True),
+        model=fetching_model,
+        options={"start": {}, "failing": (), "exclusive": ()},
     ),
-    Case("more light", lambda kb: either(kb), rover_model(dark=2.0)),
+    Case("more light", either, **rover(dark=2.0)),
     Case(
         "only charges if it has to",
-        lambda kb: either(kb),
+        either,
         wanted=(ONLY_IF_NEEDED, ENOUGH, STILL, DAY),
-        given=WORKS,
+        options=WORKS,
     ),
     Case(
         "folds its arm", lambda kb: switch_safely(either(kb), {("explore", "charge"): Work("fold")})
     ),
 ]
-
-
-def _step(kb, name):
-    return do_until_unfeasible(
-        ForAction(name, kb, "explore", Work(f"drive {name}")),
-        Act(f"charge for {name}", kb, "charge"),
-    )

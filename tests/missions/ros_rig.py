@@ -15,6 +15,8 @@ from missions.wires.rosbridge import Rosbridge
 BATTERY = "sensor_msgs/msg/BatteryState"
 WIRES = ("rosbridge", "rclpy")
 STEP_S = 0.1
+GOAL = {"pose": {"header": {"frame_id": "map"}, "pose": {"orientation": {"w": 1.0}}}}
+"""A goal of Nav2."""
 
 
 def rover():
@@ -102,6 +104,10 @@ class Rig:
             also()
             until(lambda: not self.is_waiting())
         return self.now - start
+
+    def request(self):
+        self.kb.measure("energy", 0.9)
+        self.kb.request_action("explore")
 
     def explore(self):
         """Let it look by its camera."""

@@ -7,8 +7,6 @@ them: the double of a rosbridge, or that of rclpy. A function that returns None 
 from base64 import b64encode
 from itertools import count
 
-from missions.wires.node import RosError
-
 STATE, CHANGE = "lifecycle_msgs/srv/GetState", "lifecycle_msgs/srv/ChangeState"
 SET = "rcl_interfaces/srv/SetParametersAtomically"
 EVENT = "lifecycle_msgs/msg/TransitionEvent"
@@ -51,7 +49,7 @@ class LifecycleNode:
 
     def vanish(self):
         """End what is left of it in the graph, as 9 s later, or at once after a tidy end."""
-        self.is_frozen = True
+        self.is_frozen = False
         for service in ("get_state", "change_state", "set_parameters_atomically"):
             self.host.unserve(f"{self.name}/{service}")
         self.host.unadvertise(f"{self.name}/transition_event")
@@ -101,6 +99,7 @@ class ActionServer:
         self.host, self.name = host, name
         self.goals, self.asked, self.received, self._statuses = {}, [], [], {}
         self.rejects = self.ignores_cancels = self.confirms_cancels = self.is_dead = False
+        self.is_secret = False  # whether its new goals are on the status topic later only
         self._numbers = count(1)
         host.serve(f"{name}/_action/cancel_goal", CANCEL, self.cancel_goal)
         host.advertise(f"{name}/_action/status", STATUS, is_latched=True)
@@ -140,15 +139,17 @@ class ActionServer:
         for on_feedback, _ in self.goals.values():
             on_feedback(values)
 
-    def end(self, status, **values):
-        """End the oldest goal."""
-        uuid = next(iter(self.goals))
+    def end(self, status, key="", **values):
+        """End a goal, by default the oldest."""
+        uuid = key or next(iter(self.goals))
         _, on_end = self.goals.pop(uuid)
         self._show(uuid, status)
         on_end(status, values)
 
     def _show(self, uuid, status):
         self._statuses[uuid] = status
+        if self.is_secret:
+            return
         entries = [
             {
                 "goal_info": {"goal_id": {"uuid": one}, "stamp": {"sec": 1, "nanosec": 0}},
@@ -157,7 +158,3 @@ class ActionServer:
             for one, status in self._statuses.items()
         ]
         self.host.publish(f"{self.name}/_action/status", STATUS, {"status_list": entries})
-
-
-def refuse(_):
-    raise RosError("never")

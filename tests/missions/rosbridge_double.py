@@ -7,18 +7,15 @@ still flow. An unknown type, operation or malformed text is answered by nothing.
 import json
 import socket
 import threading
+import time
 from contextlib import suppress
 
 from websockets.sync.server import serve
 
-from missions.wires.node import RosError
-
 
 class Client:
-    """A connection; `said` is all that it sent."""
-
     def __init__(self, websocket):
-        self.websocket, self.said, self.topics, self.services = websocket, [], set(), set()
+        self.websocket, self.topics, self.services = websocket, set(), set()
         self.waiting, self.is_over = {}, threading.Event()
 
     def send(self, **message):
@@ -56,9 +53,7 @@ class Host:
         try:
             for text in websocket:
                 with suppress(ValueError, LookupError, TypeError, AttributeError, RecursionError):
-                    message = json.loads(text)
-                    client.said.append(message)
-                    self.do(client, message)
+                    self.do(client, json.loads(text))
         except Exception:
             pass
         finally:
@@ -115,15 +110,16 @@ class RosbridgeDouble(Host):
         assert answered.wait(60.0)
         return answer
 
-    # ---------------------------------------------------------------- what clients say
+    # ---------------------------------------------------------------- what clients ask
 
     def do(self, client, message):
         getattr(self, f"_{message['op']}", lambda *_: None)(client, message)
 
     def _subscribe(self, client, message):
-        client.topics.add(message["topic"])
-        if self.latched.get(message["topic"]) is not None:
-            client.send(op="publish", topic=message["topic"], msg=self.latched[message["topic"]])
+        topic = message["topic"]
+        client.topics.add(topic)
+        if self.latched.get(topic) is not None:
+            client.send(op="publish", topic=topic, msg=self.latched[topic])
 
     def _publish(self, client, message):
         self.publish(message["topic"], "", message["msg"])
@@ -136,40 +132,29 @@ class RosbridgeDouble(Host):
 
     def _call_service(self, client, message):
         service = message["service"]
-        answered = {"op": "service_response", "service": service, "id": message["id"]}
-        owner = next((one for one in list(self.clients) if service in one.services), None)
-        if owner is not None:
+        answer = {"values": f"Service {service} does not exist", "result": False}
+        if any(service in other.services for other in list(self.clients)):
             answer = self.call(service, message["args"])
-            client.send(**answered, values=answer["values"], result=answer["result"])
-        elif service not in self.services:
-            client.send(**answered, values=f"Service {service} does not exist", result=False)
-        else:
-            try:
-                values = self.services[service](message["args"])
-            except RosError as error:
-                client.send(**answered, values=str(error), result=False)
-                return
-            if values is None:
+        elif service in self.services:
+            answer = self.services[service](message["args"])
+            if answer is None:
                 client.is_over.wait()  # blocked for good
-            client.send(**answered, values=values, result=True)
+            if "result" not in answer or "values" not in answer:
+                answer = {"values": answer, "result": True}
+        about = {"op": "service_response", "service": service, "id": message["id"]}
+        client.send(**about, values=answer["values"], result=answer["result"])
 
     def _send_action_goal(self, client, message):
-        server, over = self.actions.get(message["action"]), threading.Event()
-        about = {"action": message["action"]}
+        action, over = message["action"], threading.Event()
+        server = self.actions.get(action)
 
         def end(status, values):
-            client.send(
-                op="action_result",
-                **about,
-                values=values,
-                status=status,
-                result=True,
-                id=message["id"],
-            )
+            about = {"op": "action_result", "action": action, "id": message["id"], "result": True}
+            client.send(**about, values=values, status=status)
             over.set()
 
         def show(values):
-            client.send(op="action_feedback", **about, values=values)
+            client.send(op="action_feedback", action=action, values=values)
 
         key = None if server is None else server.begin(message["args"], show, end)
         self.goals[message["id"]] = key
@@ -186,30 +171,32 @@ class Player(Host):
     """Plays what a real rosbridge said in a case, whenever a client asks as then."""
 
     def __init__(self, case):
-        self._left = [one for one in case if one["from"] != "world"]
+        self._left = [message for message in case if message["from"] != "world"]
         self._ids = {}
         super().__init__()
 
+    def _next(self):
+        requests = (message["json"] for message in self._left if message["from"] == "client")
+        return next(requests, {"op": ""})
+
     def do(self, client, message):
-        if message.get("service", "").endswith("cancel_goal"):  # the client asks for signs of life
-            values = {"return_code": 2, "goals_canceling": []}
-            client.send(
-                op="service_response",
-                service=message["service"],
-                id=message["id"],
-                values=values,
-                result=True,
-            )
+        operation, service = message["op"], message.get("service", "")
+        if service.endswith("cancel_goal"):  # the client asks for signs of life
+            answer = {"values": {"return_code": 2, "goals_canceling": []}, "result": True}
+            client.send(op="service_response", service=service, id=message["id"], **answer)
             return
-        recorded = next((one for one in self._left if one["from"] == "client"), None)
-        if recorded is None or recorded["json"]["op"] != message["op"]:
+        while self._next()["op"] == "subscribe" != operation:
+            time.sleep(0.002)  # that comes on another connection
+        recorded = self._next()
+        if recorded["op"] != operation:
             return
-        self._left = self._left[self._left.index(recorded) + 1 :]
-        if message["op"] == "send_action_goal":
-            self._ids[recorded["json"]["id"]] = client, message["id"]
+        while self._left.pop(0)["from"] != "client":
+            pass
+        if operation == "send_action_goal":
+            self._ids[recorded["id"]] = client, message["id"]
         while self._left and self._left[0]["from"] == "server":
-            said = self._left.pop(0)["json"]
-            owner, number = self._ids.get(said.get("id"), (client, said.get("id")))
-            if said["op"] == "action_feedback":
+            answer = self._left.pop(0)["json"]
+            owner, number = self._ids.get(answer.get("id"), (client, answer.get("id")))
+            if answer["op"] == "action_feedback":
                 owner = next(reversed(self._ids.values()))[0]
-            owner.send(**{**said, **({"id": number} if number else {})})
+            owner.send(**answer | ({"id": number} if number else {}))

@@ -5,16 +5,14 @@ import json
 import sys
 from functools import partial
 
-import py_trees
 import pytest
 from running import called, register
 
 from kb import Model
 from kb.checks import rules
-from missions.commands.check import judge, names_in_pddl, names_in_tree, planned_names
-from missions.engine.mission import MISSIONS, MissionError, find_mission
+from missions.commands.check import judge
+from missions.engine.mission import MISSIONS, find_mission
 from rosa_bt import IsActionFeasible
-from rosa_pddl import PddlError
 
 DOMAIN = """
 (define (domain cave) (:requirements :strips :typing)
@@ -103,18 +101,6 @@ def test_own_missions_match_their_models_and_have_nothing_to_find(rosa, name):
     assert rosa("--mission", name, "--strict") == (0, f"model {name}: nothing found\n", "")
 
 
-def test_names_of_the_own_missions_are_found_in_tree_and_domain():
-    mission = find_mission("suave_extended")
-    model = mission.model()
-    in_tree, _ = names_in_tree(mission.tree, model, "the tree")
-    in_pddl = planned_names(mission)
-    assert {name for name, _ in in_tree} == {name for name, _ in in_pddl} == set(model.actions)
-    assert [place for name, place in in_tree if name == "recharge"] == [
-        "behaviour 'recharge feasible?' of the tree",
-        "behaviour 'recharge' of the tree",
-    ]
-
-
 def test_sound_files_exit_with_0(rosa):
     assert rosa("explorer.tql", "--tree", "trees:of_kb") == (
         0,
@@ -196,29 +182,19 @@ def test_names_of_several_trees_and_domains_are_taken_together(rosa):
         "explorer.tql", "--tree", "trees:of_both", "--pddl", "domain.pddl", "--pddl", "problem.pddl"
     )
     assert code == 1
-    assert "problem.pddl:3:21: unknown action 'charge'" in out
-    assert "domain.pddl:4:15: unknown action 'look'" in out
+    assert "problem.pddl:3: unknown action 'charge'" in out
+    assert "domain.pddl:4: unknown action 'look'" in out
     assert "3 errors" in out
 
 
-def test_domain_without_objects_tells_its_actions_by_its_predicates(rosa, tmp_path):
-    (tmp_path / "bare.pddl").write_text(DOMAIN.replace("look - task", ""))
-    names = names_in_pddl([tmp_path / "bare.pddl"])
-    assert names == [("explore", f"{tmp_path / 'bare.pddl'}:5:47")]
-    assert rosa("explorer.tql", "--pddl", "bare.pddl")[0] == 0
-
-
-def test_name_that_a_tree_is_given_only_while_it_runs_is_no_finding():
-    model = explorer()
-    names, _ = names_in_tree(lambda kb: IsActionFeasible("later", kb), model, "the tree")
-    assert [name for name, _ in names] == [""]
-    given_later = dataclasses.replace(
+def test_name_that_a_tree_gets_while_it_runs_is_no_finding():
+    mission = dataclasses.replace(
         find_mission("suave"),
-        model=explorer,
         tree=lambda kb, percepts: IsActionFeasible("later", kb),
         domain=None,
+        problem=None,
     )
-    assert judge([], dataclasses.replace(given_later, problem=None), [], [])[1] == ()
+    assert judge(explorer(), mission, [], []) == []
 
 
 def test_files_are_judged_with_the_tree_of_a_mission(rosa):
@@ -267,14 +243,6 @@ def test_what_planning_for_a_mission_passes_over_is_told_unless_the_action_is_me
     _, out, _ = rosa("--mission", "planned")
     assert "action surface is mentioned nowhere" in out
     assert "never planned" not in out
-
-
-def test_tree_may_be_given_as_something_that_needs_nothing():
-    assert names_in_tree(
-        lambda: py_trees.composites.Sequence("s", memory=False), explorer(), "it"
-    ) == ([], [])
-    with pytest.raises(MissionError, match="it is None, not a py_trees behaviour"):
-        names_in_tree(lambda: None, explorer(), "it")
 
 
 @pytest.mark.parametrize(
@@ -327,12 +295,6 @@ def test_wrong_use_is_one_clear_message_and_exits_with_2(rosa, tmp_path, argumen
     assert code == 2
     assert message in " ".join(err.split())
     assert out == ""
-
-
-def test_pddl_error_points_at_its_place(tmp_path):
-    (tmp_path / "open.pddl").write_text("(define (domain cave)")
-    with pytest.raises(PddlError, match=r"open\.pddl:1:1"):
-        names_in_pddl([tmp_path / "open.pddl"])
 
 
 def test_action_that_goes_on_unfeasible_with_nothing_to_stop_it_is_named(rosa):

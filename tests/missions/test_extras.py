@@ -7,7 +7,8 @@ from importlib.metadata import version
 
 from running import called
 
-from missions.experiments.campaign import Campaign, Store
+from missions.experiments.campaign import Campaign
+from missions.experiments.results import Store
 from missions.experiments.workers import do
 
 MISSING = """

@@ -49,12 +49,6 @@ def test_explanation_is_unfolded_down_to_the_facts_and_ends_with_what_would_help
     assert texts[-1] == "it would be feasible with energy >= 0.2"
 
 
-def test_choice_shows_what_was_not_chosen_and_why(rover):
-    texts = parsed(rover.kb.explain_choice(rover.kb.components["camera"])._repr_html_())
-    assert texts[0].startswith("component camera: night, because")
-    assert "day" in texts
-
-
 def test_plans_show_their_steps(rover):
     texts = parsed(rover.kb.latest_plan._repr_html_())
     assert {"start", "dock"} <= set(texts)
@@ -74,6 +68,6 @@ def test_names_are_text_and_nothing_else():
     component.configuration("day", {"a": EVIL}, priority=1)
     kb = KnowledgeBase(model, clock=lambda: 0.0)
     kb.component_failed("camera", EVIL)
-    for one in (model, kb, kb.explain("camera"), kb.explain_choice(kb.components["camera"])):
+    for one in (model, kb, kb.explain("camera")):
         assert "<script>" not in one._repr_html_()
         assert parsed(one._repr_html_())

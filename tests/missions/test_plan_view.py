@@ -78,7 +78,7 @@ def test_need_of_what_is_false_is_told_so():
 @st.composite
 def orders(draw):
     count = draw(st.integers(0, 7))
-    pairs = [(one, other) for other in range(count + 1) for one in range(other)]
+    pairs = [(index, other) for other in range(count + 1) for index in range(other)]
     chosen = draw(st.lists(st.sampled_from(pairs), unique=True)) if pairs else []
     links = [
         Link(one, other, (f"(fact{one} {'x' * draw(st.integers(1, 60))} <&>)",))
@@ -98,7 +98,8 @@ def boxes(root):
 @given(orders())
 def test_picture_of_any_order_shows_every_step_and_arrow_inside_and_no_box_over_another(order):
     root = ElementTree.fromstring(svg_of(order, "a plan <&>"))
-    width, height = float(root.get("width")), float(root.get("height"))
+    width = float(root.get("width"))
+    height = float(root.get("height"))
     drawn = boxes(root)
     assert len(drawn) == len(order.steps) + 1
     for number, (x, y, w, h) in enumerate(drawn):

@@ -110,21 +110,28 @@ def test_run_without_a_place_has_taller_panels_instead_of_a_map():
 @pytest.mark.parametrize("signal", ["water visibility", "battery level"])
 def test_thresholds_are_those_of_the_model(signal):
     model = find_mission("suave_extended").model()
-    limits = [one for one in model.constraints if one.attribute == signal.replace(" ", "_")]
+    limits = [
+        constraint
+        for constraint in model.constraints
+        if constraint.attribute == signal.replace(" ", "_")
+    ]
     assert limits
     axes = panel(pictured(), signal)
     lines = [float(path.vertices[0, 1]) for group in axes.collections for path in group.get_paths()]
-    assert {one.value for one in limits} <= set(lines)
+    assert {limit.value for limit in limits} <= set(lines)
     beside = "\n".join(words(axes))
     assert all(
-        f"≥ {one.value:g}  {each.name}" in beside for one in limits for each in one.constrained
+        f"≥ {limit.value:g}  {each.name}" in beside
+        for limit in limits
+        for each in limit.constrained
     )
 
 
 def test_the_map_has_the_same_scale_both_ways():
     axes = axes_beside(pictured(), "start")
     assert axes.get_aspect() == 1
-    width, height = np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())
+    width = np.ptp(axes.get_xlim())
+    height = np.ptp(axes.get_ylim())
     assert width / height == pytest.approx(axes.bbox.width / axes.bbox.height)
 
 

@@ -1,311 +1,300 @@
-"""A recorded battery drop, decided once more without the simulator: every decision of task and architecture."""
+"""Replays: a recording is decided on again, and a test says what has to be decided."""
 
-import json
 import math
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
-from py_trees.decorators import FailureIsRunning
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from py_trees.composites import Sequence
 from running import run_mission
-from small_rover import rover_model, rover_tree
+from small_rover import ENERGY_DROP, Sensing, rover_model, rover_tree
 
-from missions import suave_extended
+from kb import UnknownName
 from missions.engine.mission import MissionError, Percepts
 from missions.engine.recording import failed, header, line_of, measured, recovered, sensed
 from missions.engine.runner import Listener
-from missions.engine.task_layer import mission_domain
+from missions.engine.settings import RunSettings
 from missions.suave.tree import suave_tree
 from missions.suave_extended.model import suave_extended_model
-from missions.suave_extended.tree import suave_extended_tree
-from missions.testing.decisions import replay
+from missions.testing import FakeClock, ScriptedManaged, replay
 from rosa_bt import replay_trace
-from rosa_pddl import PlanExecutor
 
 BATTERY_DROP = Path(__file__).with_name("battery_drop.jsonl")
-
 BLOCKED = """
 import sys
 sys.modules["mujoco"] = None  # importing it raises from here on
 from missions.testing.decisions import replay
-for task in ("bt", "pddl"):
-    decisions = replay(sys.argv[1], "suave_extended", task=task)
-    print([name for name, *_ in decisions.actions])
+print(*[name for name, *_ in replay(sys.argv[1], "suave_extended").actions])
 assert not any(name.startswith("suave_env") for name in sys.modules)
 """
 
 
-class Hearing(Listener):
-    def __init__(self):
-        self.messages = []
-
-    def message(self, message):
-        self.messages.append(message)
+@cache
+def rover():
+    return replay(ENERGY_DROP, rover_model(), rover_tree)
 
 
-def switched(decisions):
-    return [
-        (round(plan.start, 2), plan.deactivate, plan.activate, plan.parameters)
-        for plan in decisions.plans
+def failure_of(assertion, *names, **expected):
+    with pytest.raises(AssertionError) as caught:
+        assertion(*names, **expected)
+    return str(caught.value)
+
+
+def test_assertions_about_an_energy_drop_hold():
+    decisions = rover()
+    drop = decisions.assert_adapts(at=20.0, from_="explore", to="charge", within=0.2)
+    assert drop.reason.startswith("explore is unfeasible because energy 0.1 violates >= 0.2")
+    decisions.assert_adapts(at=20.0, within=0.2)
+    night = decisions.assert_reconfigures(at=10.0, configure="night", within=0.1)
+    assert night.reason.startswith("day is unfeasible because light 0.3 violates >= 0.5")
+    decisions.assert_reconfigures(at=15.0, deactivate="camera", activate=["radar"], within=0.15)
+    decisions.assert_actions("explore", "charge", "explore")
+    decisions.assert_begins("explore", at=30.0, within=0.0)
+    decisions.assert_ends("explore", "abandoned", at=20.0)
+    decisions.assert_never(action="charge", until=19.9)
+    decisions.assert_never(activate="dock", configure="day", since=20.2)
+
+
+@pytest.mark.parametrize(
+    ("claim", "words"),
+    [
+        (
+            lambda d: d.assert_adapts(at=20.0, to="charge", within=0.05),
+            "but explore -> charge is decided at 20.00 s and is in force at 20.10 s (because expl",
+        ),
+        (
+            lambda d: d.assert_adapts(at=20.05, from_="explore", to="charge", within=5.0),
+            "expected between 20.05 s and 25.05 s: explore -> charge",
+        ),
+        (lambda d: d.assert_actions("explore", "explore"), "  explore\n+ charge\n  explore"),
+        (lambda d: d.assert_begins("charge", at=10.0), "but it begins at 20.00 s"),
+        (lambda d: d.assert_ends("explore", at=20.0), "but it is abandoned at 20.00 s"),
+        (
+            lambda d: d.assert_reconfigures(at=20.0, configure="night", within=0.1),
+            "but the plan of 10.00 s is completed at 10.05 s",
+        ),
+        (lambda d: d.assert_reconfigures(at=0.0, activate=["camera", "radar"]), "it never does"),
+        (
+            lambda d: d.assert_never(activate=["radar", "dock"], action="charge"),
+            "expected: never begin charge or activate radar, dock\n  but activate radar at 15.00",
+        ),
+    ],
+)
+def test_assertion_that_fails_says_what_happened_instead(claim, words):
+    assert words in failure_of(lambda: claim(rover()))
+
+
+def test_assertion_that_fails_shows_the_events_around_its_time():
+    message = failure_of(rover().assert_adapts, at=15.0, from_="explore", to="charge", within=0.5)
+    lines = message.splitlines()
+    assert lines[0] == "expected between 15.00 s and 15.50 s: explore -> charge"
+    assert lines[3:7] == [
+        "what happened around 15.00 s:",
+        "     0.50 s  heard     energy is 1",
+        "    10.00 s  heard     light is 0.3",
+        "    10.00 s  plan      configure night: completed at 10.05 s",
     ]
+    assert "    15.00 s  EXPECTED  explore -> charge" in lines
+
+
+@pytest.mark.parametrize(
+    ("claim", "error", "words"),
+    [
+        (lambda d: d.assert_adapts(at=20.0, from_="explor"), UnknownName, "did you mean"),
+        (lambda d: d.assert_actions("explore", "charg"), UnknownName, "did you mean"),
+        (lambda d: d.assert_reconfigures(at=20.0, activate="dok"), UnknownName, "did you mean"),
+        (lambda d: d.assert_never(deactivate="cammera"), UnknownName, "did you mean"),
+        (lambda d: d.assert_never(action="charge", since=1e3), ValueError, "is no time of this"),
+        (lambda d: d.assert_never(), ValueError, "say what to look for"),
+        (lambda d: d.assert_reconfigures(at=1.0), ValueError, "say what to look for"),
+    ],
+)
+def test_assertion_without_meaning_is_an_error(claim, error, words):
+    with pytest.raises(error, match=words):
+        claim(rover())
+
+
+def test_next_action_after_a_completed_one_is_no_adaptation():
+    def tree(kb, percepts):
+        steps = [("explore", "explored"), ("charge", "charged")]
+        children = [Sensing(name, kb, percepts, until) for name, until in steps]
+        return Sequence("both", memory=True, children=children)
+
+    stream = [measured(0.0, energy=1.0), sensed(5.0, explored=True)]
+    decisions = replay(stream, rover_model(), tree)
+    decisions.assert_actions("explore", "charge")
+    assert "it never does" in failure_of(decisions.assert_adapts, at=5.0, to="charge")
+
+
+@pytest.mark.parametrize(
+    ("limits", "ending"),
+    [
+        (None, "5.00 s  end       the mission ended (SUCCESS); 2 messages were not heard"),
+        (
+            RunSettings(duration_s=4.0),
+            "4.00 s  end       the mission ended (time limit); 3 messages were not heard",
+        ),
+    ],
+)
+def test_mission_that_ends_before_its_recording_says_so(limits, ending):
+    drop = [measured(20.0, energy=0.1), sensed(30.0)]
+    stream = [measured(0.0, light=0.9, energy=1.0), sensed(5.0, explored=True), *drop]
+    decisions = replay(stream, rover_model(), rover_tree, settings=limits)
+    assert ending in failure_of(decisions.assert_adapts, at=20.0, to="charge")
+    assert str(decisions).endswith(ending)
+    assert not any(moment.what == "end" for moment in rover().timeline)
+
+
+NEWS = st.one_of(
+    st.builds(lambda value: {"energy": value}, st.sampled_from([0.1, 0.5, 1.0])),
+    st.builds(lambda value: {"light": value}, st.sampled_from([0.1, 1.0])),
+    st.sampled_from([failed, recovered]),
+)
+
+
+@settings(max_examples=15)
+@given(st.lists(NEWS, max_size=8))
+def test_replay_is_repeatable_and_its_own_claims_hold(news):
+    stream = []
+    for time, entry in enumerate(news, start=1):
+        make = entry if callable(entry) else None
+        stream.append(make(time, "camera") if make else measured(time, **entry))
+    decisions = replay(stream, rover_model(), rover_tree)
+    again = replay(stream, rover_model(), rover_tree)
+    assert (str(decisions.trace), str(decisions)) == (str(again.trace), str(again))
+    decisions.assert_actions(*(name for name, *_ in decisions.actions))
+    for change in decisions.changes:
+        within = change.in_force_s - change.at_s
+        if math.isfinite(within):
+            decisions.assert_adapts(at=change.at_s, to=change.action, within=within)
 
 
 @pytest.mark.parametrize("task", ["bt", "pddl"])
 def test_battery_drop_is_answered_by_task_and_architecture(task):
     decisions = replay(BATTERY_DROP, "suave_extended", task=task)
-    assert [name for name, _, _, _ in decisions.actions] == [
-        *("search_pipeline", "inspect_pipeline", "recharge", "inspect_pipeline")
-    ]
-    drop, *back = (one for one in decisions.adaptations if one.kind == "task")
-    planning_s = 0.2 if task == "pddl" else 0.0
+    decisions.assert_actions("search_pipeline", "inspect_pipeline", "recharge", "inspect_pipeline")
+    drop, *back = (entry for entry in decisions.adaptations if entry.kind == "task")
     assert drop.change == "inspect_pipeline -> recharge; stop follow_pipeline; start recharge"
-    assert drop.at_s == pytest.approx(150.0 + planning_s, abs=0.11)
-    there_and_back = ["recharge -> inspect_pipeline; stop recharge; start follow_pipeline"]
-    assert [one.change for one in back] == (there_and_back if task == "bt" else []), (
-        "the next step of a plan is none"
-    )
-
-
-def test_decisions_of_the_tree_are_exactly_these():
-    decisions = replay(BATTERY_DROP, "suave_extended")
+    assert len(back) == (task == "bt")  # the next step of a plan is no adaptation
     thrusters = tuple(f"c_thruster_{number}" for number in range(1, 7))
-    assert switched(decisions) == [
-        (0.0, (), ("spiral_search", *thrusters), ("high_altitude",)),
-        (12.0, (), (), ("medium_altitude",)),
-        (23.0, (), (), ("low_altitude",)),
-        (35.5, thrusters, ("recover_thrusters",), ()),
-        (46.0, ("recover_thrusters",), thrusters, ()),
-        (100.0, ("spiral_search",), ("follow_pipeline",), ()),
-        (150.0, ("follow_pipeline",), ("recharge",), ()),
-        (185.0, ("recharge",), ("follow_pipeline",), ()),
-    ]
+    plans = [(round(plan.start), plan.deactivate, plan.activate) for plan in decisions.plans]
+    assert (36, thrusters, ("recover_thrusters",)) in plans
+    assert (46, ("recover_thrusters",), thrusters) in plans
 
 
 @pytest.mark.parametrize("task", ["bt", "pddl"])
-def test_replay_of_a_live_run_decides_the_same_at_the_same_times(task, tmp_path):
-    path, heard = tmp_path / "run.jsonl", Hearing()
-    run, _, _ = run_mission("suave_extended", task, 7, listeners=[heard])
-    path.write_text("".join(line_of(message) for message in [header(run, 7), *heard.messages]))
+def test_replay_of_a_live_run_decides_the_same(task, tmp_path):
+    class Hearing(Listener):
+        def message(self, message):
+            lines.append(line_of(message))
+
+    lines = []
+    run, _, _ = run_mission("suave_extended", task, 7, listeners=[Hearing()], duration_s=160)
+    path = tmp_path / "run.jsonl"
+    path.write_text(line_of(header(run, 7)) + "".join(lines))
     decisions = replay(path, "suave_extended", task=task)
-    live = [(one.at_s, one.kind, one.change, one.reason, one.reaction_s) for one in run.adaptations]
-    assert len(live) >= 6
-    assert [
-        (one.at_s, one.kind, one.change, one.reason, one.reaction_s)
-        for one in decisions.adaptations
-    ] == live
-    begun = [(one.action, one.start) for one in run.kb.history.actions]
+    assert len(run.adaptations) >= 5
+    rows = [
+        [(e.at_s, e.kind, e.change, e.reason, e.reaction_s) for e in entries]
+        for entries in (decisions.adaptations, run.adaptations)
+    ]
+    assert rows[0] == rows[1]
+    begun = [(action.action, action.start) for action in run.actions]
     assert [(name, start) for name, start, _, _ in decisions.actions] == begun
 
 
-def planned(kb, percepts):
-    """Return the planned task layer of the mission, put together by hand."""
-    mission = suave_extended.MISSION
-    executor = PlanExecutor(
-        "plan",
-        kb=kb,
-        domain=mission_domain(mission),
-        behaviours={
-            name: (lambda step, action=action: action(kb, percepts))
-            for name, action in mission.actions.items()
-        },
-        sense=lambda: mission.facts(kb, percepts),
-        clock=lambda: kb.now,
-    )
-    return FailureIsRunning("until the goal holds", executor)
+def test_tree_replaces_the_task_layer_and_its_trace_is_replayed():
+    def tree(kb, percepts=None):
+        return suave_tree(kb, Percepts())
 
-
-@pytest.mark.parametrize(("task", "behaviour"), [("bt", suave_extended_tree), ("pddl", planned)])
-def test_model_with_a_behaviour_of_ones_own_decides_as_the_mission_does(task, behaviour):
-    mission = replay(BATTERY_DROP, "suave_extended", task=task)
-    own = replay(BATTERY_DROP, suave_extended_model(), behaviour)
-    assert str(own) == str(mission)
-    assert own.actions == mission.actions
-    assert [plan.steps for plan in own.task_plans] == [plan.steps for plan in mission.task_plans]
-    assert bool(own.task_plans) == (task == "pddl")
-    own.assert_adapts(
-        at=150.0, from_="inspect_pipeline", to="recharge", within=0.2 if task == "bt" else 0.4
-    )
-
-
-def test_behaviour_takes_the_place_of_the_task_layer_of_a_mission():
-    decisions = replay(BATTERY_DROP, "suave_extended", suave_tree, task="pddl")
-    decisions.assert_actions("search_pipeline", "inspect_pipeline", "inspect_pipeline")
+    decisions = replay(BATTERY_DROP, "suave_extended", tree, task="pddl")
     decisions.assert_never(action="recharge")
-
-
-def test_trace_of_a_replay_can_be_decided_once_more():
-    trace = replay(
-        BATTERY_DROP, "suave_extended", lambda kb, percepts: suave_tree(kb, Percepts())
-    ).trace
-    again = replay_trace(trace, suave_extended_model(), lambda kb: suave_tree(kb, Percepts()))
-    assert str(again).replace("suave_extended", "") == str(trace).replace("suave_extended", "")
-    assert len(trace.ticks) > 2000
-
-
-def test_stream_written_by_hand_is_heard_as_the_file_is():
-    stream = [
-        measured(0.0, water_visibility=3.75, battery_level=1.0),
-        failed(10.0, "c_thruster_1", "c_thruster_2"),
-        recovered(20.0, "c_thruster_1", "c_thruster_2"),
-        sensed(30.0, pipeline_found=True),
-        measured(40.0, battery_level=0.1),
-    ]
-    decisions = replay(stream, "suave_extended")
-    decisions.assert_reconfigures(at=10.0, activate="recover_thrusters", within=0.1)
-    decisions.assert_reconfigures(at=20.0, deactivate="recover_thrusters", within=0.1)
-    decisions.assert_begins("inspect_pipeline", at=30.0, within=0.1)
-    decisions.assert_adapts(at=40.0, to="recharge", within=0.2)
-    assert not decisions.problems
-
-
-def test_recording_is_replayed_to_its_end_however_long_it_is():
-    decisions = replay(
-        [measured(0.0, battery_level=1.0), measured(500.0, battery_level=0.1)], "suave_extended"
-    )
-    decisions.assert_adapts(at=500.0, to="recharge", within=0.2)
-
-
-@pytest.mark.parametrize(
-    ("messages", "message"),
-    [
-        ([{"time": -1.0, "status": []}], 'message 1: a message is an object with a number "time"'),
-        (
-            [measured(0.0), {"time": 1.0, "status": [{"message": "x"}]}],
-            'message 2: each "status" is an object',
-        ),
-        ([measured(2.0), measured(1.0)], "message 2: time 1.0 comes after 2.0"),
-    ],
-)
-def test_bad_message_is_refused_with_its_number(messages, message):
-    with pytest.raises(MissionError, match=message):
-        replay(messages, "suave_extended")
+    again = replay_trace(decisions.trace, suave_extended_model(), tree)
+    texts = [str(trace).replace("suave_extended", "") for trace in (again, decisions.trace)]
+    assert texts[0] == texts[1]
 
 
 def test_replay_needs_no_simulator():
-    done = subprocess.run(
-        [sys.executable, "-c", BLOCKED, str(BATTERY_DROP)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines() == [
-        "['search_pipeline', 'inspect_pipeline', 'recharge', 'inspect_pipeline']",
-        "['search_pipeline', 'inspect_pipeline', 'recharge', 'inspect_pipeline']",
-    ]
+    command = [sys.executable, "-c", BLOCKED, str(BATTERY_DROP)]
+    out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert out.split() == ["search_pipeline", "inspect_pipeline", "recharge", "inspect_pipeline"]
 
 
 @pytest.mark.parametrize(
-    ("lines", "message"),
+    ("source", "model", "tree", "words"),
     [
-        (["{"], ":1:2: not JSON"),
-        (["[]"], r':1: a message is an object with a number "time"'),
-        (['{"time": true, "status": []}'], ':1: a message is an object with a number "time"'),
-        (
-            ['{"time": 1, "status": [{"message": "x"}]}'],
-            ':1: each "status" is an object with a text "message"',
-        ),
-        (['{"time": 0, "status": [], "run": [1]}'], ':1: "run" says how it was run'),
-        (['{"time": 0, "status": [], "run": {"settings": [1]}}'], ':1: "run" says how it was run'),
-        (
-            ['{"time": 0, "status": [], "run": {"switching_s": {"activate": -1}}}'],
-            "used: ValueError: activate takes -1",
-        ),
-        (
-            ['{"time": 0, "status": [], "run": {"switching_s": {"activate": "x"}}}'],
-            "activate takes 'x'; allowed is",
-        ),
-        (
-            ['{"time": 0, "status": [], "run": {"commands": [1]}}'],
-            "how it was run cannot be used: TypeError",
-        ),
-        (
-            ['{"time": 0, "status": [], "run": {"settings": {"duration_s": "x"}}}'],
-            "duration_s is 'x'",
-        ),
-        (
-            ['{"time": 0, "status": [], "run": {"settings": {"import": "os"}}}'],
-            "unknown setting 'import'",
-        ),
-        (
-            ['{"time": 2, "status": []}', "", '{"time": 1, "status": []}'],
-            ":3: time 1 comes after 2",
-        ),
+        ([measured(2.0), measured(1.0)], "suave", None, "message 2: time 1.0 comes after 2.0"),
+        (ENERGY_DROP, "suaf", None, "unknown mission 'suaf'; there are suave, suave_extended"),
+        (ENERGY_DROP, rover_model(), "rover_tree", "what decides is made for each replay: lambda"),
+        (ENERGY_DROP, rover_model(), lambda kb, percepts: None, "is None, not a py_trees"),
+        (ENERGY_DROP, rover_model, None, "the model rover decides nothing by itself"),
+        (ENERGY_DROP, dict, rover_tree, r"the model to replay to is \{\}, not a Model"),
+        (ENERGY_DROP, 3, rover_tree, "a mission, its name, a model or what makes one, not 3"),
+        ([failed(1.0, "camra")], rover_model(), rover_tree, "unknown component 'camra'"),
+        ([measured(1.0, energy=math.nan)], rover_model(), rover_tree, "a measurement is a finite"),
     ],
 )
-def test_bad_recording_is_refused_with_its_line(tmp_path, lines, message):
+def test_replay_of_what_makes_no_sense_is_refused(source, model, tree, words):
+    with pytest.raises(MissionError, match=words):
+        replay(source, model, tree)
+
+
+@pytest.mark.parametrize(
+    ("run", "words"),
+    [
+        ({"switching_s": {"activate": -1}}, "cannot be used: ValueError: activate takes -1"),
+        ({"commands": [1]}, "how it was run cannot be used: TypeError"),
+        ({"settings": {"duration_s": "x"}}, "duration_s is 'x'"),
+        ({"settings": {"import": "os"}}, "unknown setting 'import'"),
+    ],
+)
+def test_recording_of_an_impossible_run_is_refused(tmp_path, run, words):
     path = tmp_path / "bad.jsonl"
-    path.write_text("\n".join(lines))
-    with pytest.raises(MissionError, match=message):
+    path.write_text(line_of({"time": 0, "status": [], "run": run}))
+    with pytest.raises(MissionError, match=words):
         replay(path, "suave_extended")
-
-
-def test_missing_recording_and_unknown_mission_are_named(tmp_path):
-    with pytest.raises(
-        MissionError,
-        match=r"cannot read the recording .*nothing\.jsonl: No such file or directory$",
-    ) as missing:
-        replay(tmp_path / "nothing.jsonl", "suave_extended")
-    assert missing.value.__suppress_context__, "one traceback is enough"
-    with pytest.raises(
-        MissionError, match="unknown mission 'suaf'; there are suave, suave_extended"
-    ):
-        replay(BATTERY_DROP, "suaf")
-
-
-def test_faults_in_a_stream_are_reported_and_stop_nothing(tmp_path):
-    lines = BATTERY_DROP.read_text().splitlines()
-    fault = {"message": "QA status", "values": {"battery_level": "nan", "batery_level": "0.1"}}
-    broken = tmp_path / "broken.jsonl"
-    broken.write_text("\n".join([json.dumps({"time": 0.0, "status": [fault]}), *lines]))
-    whole, with_fault = (replay(path, "suave_extended") for path in (BATTERY_DROP, broken))
-    assert with_fault.actions == whole.actions
-    assert [str(problem) for _, problem in with_fault.problems] == [
-        "battery_level='nan': a measurement is a finite number",
-        "batery_level='0.1': unknown attribute 'batery_level'; did you mean 'battery_level'?",
-    ]
-
-
-@pytest.mark.parametrize(
-    ("slip", "message"),
-    [
-        (
-            failed(1.0, "camra"),
-            "at 1.00 s: camra='failure': unknown component 'camra'; did you mean 'camera'",
-        ),
-        (
-            measured(1.0, enrgy=0.1),
-            "at 1.00 s: enrgy='0.1': unknown attribute 'enrgy'; did you mean 'energy'",
-        ),
-        (
-            measured(1.0, energy=math.nan),
-            "at 1.00 s: energy='nan': a measurement is a finite number",
-        ),
-    ],
-)
-def test_slip_in_a_stream_written_in_python_is_an_error(slip, message):
-    stream = [measured(0.0, light=0.9, energy=1.0), slip, sensed(2.0, explored=True)]
-    with pytest.raises(MissionError, match=message):
-        replay(stream, rover_model(), rover_tree)
 
 
 def test_failure_shows_what_of_a_recording_could_not_be_used(tmp_path):
     path = tmp_path / "run.jsonl"
     slips = [failed(float(time), "camra") for time in range(1, 4)]
-    path.write_text(
-        "".join(line_of(message) for message in [measured(0.0, light=0.9, energy=1.0), *slips])
-    )
+    path.write_text("".join(map(line_of, [measured(0.0, light=0.9, energy=1.0), *slips])))
     decisions = replay(path, rover_model(), rover_tree)
-    claims = [
-        lambda: decisions.assert_never(activate="camera"),
-        lambda: decisions.assert_actions("charge"),
-        lambda: decisions.assert_begins("charge", at=1.0),
+    assert failure_of(decisions.assert_actions, "charge").splitlines()[-2:] == [
+        "what could not be used, the first time:",
+        "     1.00 s  camra='failure': unknown component 'camra'; did you mean 'camera'?",
     ]
-    for claim in claims:
-        with pytest.raises(AssertionError) as failure:
-            claim()
-        assert str(failure.value).splitlines()[-2:] == [
-            "what could not be used, the first time:",
-            "     1.00 s  camra='failure': unknown component 'camra'; did you mean 'camera'?",
-        ]
+
+
+@pytest.mark.parametrize(
+    ("script", "to", "words"),
+    [
+        ({"component": "radar", "crash_after": 3.0}, "charge", "radar is not running, though"),
+        ({"component": "dock", "hangs": True}, "charge", "is never in force"),
+    ],
+)
+def test_scripted_system_shapes_what_a_replay_decides(script, to, words):
+    managed = ScriptedManaged(FakeClock())
+    managed.script(script.pop("component"), **script)
+    stream = [measured(0.0, light=1.0, energy=1.0), failed(2.0, "camera"), failed(8.0, "radar")]
+    decisions = replay([*stream, sensed(9.0)], rover_model(), rover_tree, managed=managed)
+    (change,) = decisions.changes
+    assert change.action == to
+    message = failure_of(decisions.assert_adapts, at=1.0, to="charge", within=0.1)
+    assert words in message
+
+
+@pytest.mark.parametrize(
+    ("managed", "error", "words"),
+    [
+        (ScriptedManaged(FakeClock()).script("cammera", takes=1.0), UnknownName, "mean 'camera'"),
+        (ScriptedManaged(FakeClock(1.5)), MissionError, "a replay begins at 0 s, not at 1.5 s"),
+    ],
+)
+def test_managed_system_that_does_not_fit_is_refused(managed, error, words):
+    with pytest.raises(error, match=words):
+        replay(ENERGY_DROP, rover_model(), rover_tree, managed=managed)

@@ -70,10 +70,9 @@ def test_every_page_is_found_and_every_public_name_is_in_the_reference(site):
 
 def test_every_picture_of_the_docs_is_made_by_one_command():
     made = {f"{one.name}.png" for one in PICTURES} | {f"{mission}.png" for mission, *_ in RUNS}
-    assert {path.name for path in (ROOT / "docs").rglob("*.png")} == made | {"agv_growth.png"}
+    assert {path.name for path in (ROOT / "docs").rglob("*.png")} == made
     rules = (ROOT / "Makefile").read_text().partition("\npictures:\n")[2].partition("\n\n")[0]
     assert "page_pictures.py" in rules
-    assert "ROSA_GROWTH_PNG=docs/agv_growth.png" in rules
     gallery = (ROOT / "docs" / "gallery.md").read_text()
     for mission, *options in RUNS:
         assert (

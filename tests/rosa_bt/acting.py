@@ -1,4 +1,4 @@
-"""A clock and an action, for trees that are ticked by hand."""
+"""A clock, an action and a robot, for trees that are ticked by hand."""
 
 from py_trees.common import Status
 
@@ -13,10 +13,24 @@ class Clock:
 
 
 class Act(RosaAction):
-    """Runs until it is stopped."""
+    """Runs until it is stopped, or its result is set."""
 
-    def __init__(self, kb, action):
-        super().__init__(action, kb, action)
+    result = Status.RUNNING
+    begun = 0
+
+    def __init__(self, kb, action, **options):
+        super().__init__(action, kb, action, **options)
+
+    def initialise(self):
+        self.begun += 1
 
     def update(self):
-        return Status.RUNNING
+        return self.result
+
+
+class Managed:
+    """Does at once what it is commanded."""
+
+    def activate(self, component): ...
+    def deactivate(self, component): ...
+    def set_parameters(self, component, parameters): ...

@@ -1,14 +1,50 @@
 """A plain twin of BehaviorTree.CPP 4: its nodes told once more, statement by statement, to judge what is read from XML.
 
-Written from how its nodes are documented and behave, without a thought of py_trees: a node has a status of its own,
-`execute` asks pre-conditions, ticks and runs post-conditions, a parent halts and resets its children by name.
+Written from how its nodes are documented and behave, without a thought of py_trees: a node has a
+    status of its own,
+`execute` asks pre-conditions, ticks and runs post-conditions, a parent halts and resets its
+children by name.
 """
 
+import operator
 import re
 from collections import UserDict
 from xml.etree import ElementTree
 
-from btcpp_script_twin import Thrown, run, truth
+SCRIPT = re.compile(r"(@?\w+) (:?=|\+=|\*=) (!?)(\w+|[\d.]+)(?: (&) (\d+))?")
+CONDITION = re.compile(r"(!?)(@?\w+)(?: ([<>=]+) ([\d.]+))?")
+
+
+class Thrown(Exception):
+    """What BehaviorTree.CPP would throw in the middle of a tick."""
+
+
+def run(code, board):
+    """Run a script of simple assignments, with numbers, names, `!` and `&`."""
+    for statement in code.split("; "):
+        name, sign, negation, text, _, mask = SCRIPT.fullmatch(statement).groups()
+        before = board.get(name)
+        value = float(text) if text[0].isdigit() else board[text]
+        if "." not in text and text.isdigit():
+            value = int(text)
+        if negation:
+            value = float(not value)
+        if mask:
+            value = float(int(value) & int(mask))
+        if sign in ("+=", "*="):
+            value = before + value if sign == "+=" else before * value
+        board[name] = value if before is None else type(before)(value)
+
+
+def holds(code, board):
+    """Tell whether a condition holds: of names, `!`, or a comparison with a number."""
+    negation, name, sign, number = CONDITION.fullmatch(code).groups()
+    value = board[name]
+    if sign:
+        signs = {"==": operator.eq, "<": operator.lt, ">=": operator.ge}
+        return signs[sign](value, float(number))
+    return bool(value) != bool(negation)
+
 
 IDLE, RUNNING, SUCCESS, FAILURE, SKIPPED = "IDLE", "RUNNING", "SUCCESS", "FAILURE", "SKIPPED"
 DONE = (SUCCESS, FAILURE)
@@ -59,7 +95,8 @@ class World:
     """What all nodes share: leaves as {tag: (kind, script)}, what happened, blackboards, the time [s]."""
 
     def __init__(self, leaves, enums, ports):
-        self.enums, self.ports = enums, ports
+        self.enums = enums
+        self.ports = ports
         self.leaves = {tag: (kind, script) for tag, (kind, script) in leaves.items()}
         self.ticked = dict.fromkeys(leaves, 0)
         self.said, self.boards, self.now = [], [Board()], 0.0
@@ -71,13 +108,11 @@ class World:
 
 class Node:
     def __init__(self, tag, ports, children, world, board):
-        self.tag, self.ports, self.children, self.world, self.board = (
-            tag,
-            ports,
-            children,
-            world,
-            board,
-        )
+        self.tag = tag
+        self.ports = ports
+        self.children = children
+        self.world = world
+        self.board = board
         self.status = IDLE
         self.clear()
 
@@ -97,7 +132,7 @@ class Node:
         return status
 
     def holds(self, code):
-        return truth(run(code, self.board, self.world.enums))
+        return holds(code, self.board)
 
     def judged(self):
         for rule, verdict in (
@@ -120,7 +155,7 @@ class Node:
     def follow(self, *rules):
         for rule in rules:
             if rule in self.ports:
-                run(self.ports[rule], self.board, self.world.enums)
+                run(self.ports[rule], self.board)
 
     def halt_node(self):
         self.halt()
@@ -146,7 +181,8 @@ class Leaf(Node):
         kind, script = self.world.leaves[self.tag]
         if kind == "A" and self.status in DONE:
             return self.status
-        count, ports = self.world.ticked[self.tag], self.world.ports.get(self.tag, {})
+        count = self.world.ticked[self.tag]
+        ports = self.world.ports.get(self.tag, {})
         letter = script[count % len(script)]
         self.world.ticked[self.tag] += 1
         hook = "c" if kind == "C" else "s" if self.status == IDLE else "r"
@@ -201,7 +237,8 @@ class InOrder(Node):
                 return RUNNING
         self.reset_all()
         self.index = 0
-        skipped, self.skipped = self.skipped, 0
+        skipped = self.skipped
+        self.skipped = 0
         return SKIPPED if skipped == len(self.children) else self.goes_on
 
     def give_up(self):
@@ -214,7 +251,8 @@ class Reactive(Node):
     goes_on = SUCCESS
 
     def tick(self):
-        self.status, all_skipped = RUNNING, True
+        self.status = RUNNING
+        all_skipped = True
         for child in self.children:
             status = child.execute()
             all_skipped &= status == SKIPPED
@@ -237,7 +275,8 @@ class Together(Node):
         self.ended = {}
 
     def threshold(self, port, default):
-        count, wanted = len(self.children), int(self.ports.get(port, default))
+        count = len(self.children)
+        wanted = int(self.ports.get(port, default))
         wanted = wanted if wanted >= 0 else max(count + wanted + 1, 0)
         if wanted > count:
             raise Thrown
@@ -254,10 +293,8 @@ class Together(Node):
 
 class Parallel(Together):
     def tick(self):
-        successes, failures = (
-            self.threshold("success_count", -1),
-            self.threshold("failure_count", 1),
-        )
+        successes = self.threshold("success_count", -1)
+        failures = self.threshold("failure_count", 1)
         counts_skipped = int(self.ports.get("success_count", -1)) < 0
         self.status, skipped, count = RUNNING, 0, len(self.children)
         for child in self.children:
@@ -266,7 +303,8 @@ class Parallel(Together):
                 skipped += status == SKIPPED
                 if status in DONE:
                     self.ended[child] = status
-            succeeded, failed = self.number(SUCCESS), self.number(FAILURE)
+            succeeded = self.number(SUCCESS)
+            failed = self.number(FAILURE)
             if succeeded >= successes or (counts_skipped and succeeded + skipped >= successes):
                 return self.end(SUCCESS)
             if count - failed < successes or failed == failures:
@@ -277,7 +315,8 @@ class Parallel(Together):
 class ParallelAll(Together):
     def tick(self):
         failures = self.threshold("max_failures", 1)
-        self.status, skipped = RUNNING, 0
+        self.status = RUNNING
+        skipped = 0
         for child in self.children:
             if child not in self.ended:
                 status = child.execute()
@@ -448,7 +487,8 @@ class Delay(Decorator):
 
     def tick(self):
         if self.since is None:
-            self.since, self.status = self.world.now, RUNNING
+            self.since = self.world.now
+            self.status = RUNNING
         if self.world.now - self.since < int(self.ports["delay_msec"]) / 1000:
             return RUNNING
         status = self.tick_child()
@@ -459,11 +499,13 @@ class Delay(Decorator):
 
 class Timeout(Decorator):
     def clear(self):
-        self.since, self.is_spent = None, False
+        self.since = None
+        self.is_spent = False
 
     def tick(self):
         if self.since is None:
-            self.since, self.status = self.world.now, RUNNING
+            self.since = self.world.now
+            self.status = RUNNING
         if not self.is_spent and self.world.now - self.since >= int(self.ports["msec"]) / 1000:
             self.is_spent = True
             if self.child.status == RUNNING:
@@ -503,7 +545,8 @@ class Updated(Decorator):
 
 def is_updated(node):
     written = node.board.times_written(node.ports["entry"].strip("{}"))
-    before, node.asked = node.asked, node.asked if written is None else written
+    before = node.asked
+    node.asked = node.asked if written is None else written
     return node.asked != before
 
 
@@ -516,7 +559,8 @@ class WasEntryUpdated(Node):
 
 class SetBlackboard(Node):
     def tick(self):
-        source, key = self.ports["value"].strip("{}"), self.ports["output_key"]
+        source = self.ports["value"].strip("{}")
+        key = self.ports["output_key"]
         if source == self.ports["value"]:
             self.board[key] = source
             return SUCCESS
@@ -640,7 +684,8 @@ class Twin:
         text: the file.
         leaves: by tag, as (kind, script).
         enums: names that scripts know.
-        ports: by tag, as recorded cases say them: `p`, a whole number in, and `o`, whole numbers out.
+        ports: by tag, as recorded cases say them: `p`, a whole number in, and `o`, whole numbers
+            out.
     """
 
     def __init__(self, text, leaves, enums=(), ports=None):
@@ -653,9 +698,11 @@ class Twin:
         for text in element.attrib.values():
             if re.fullmatch(r"\{\w+\}", text):
                 board.setdefault(text[1:-1])
-        children, inner = list(element), board
+        children = list(element)
+        inner = board
         if element.tag == "SubTree":
-            children, inner = [self.trees[element.get("ID")]], self.board_of(element, board)
+            children = [self.trees[element.get("ID")]]
+            inner = self.board_of(element, board)
         made = [self.made(child, inner) for child in children]
         return KINDS.get(element.tag, Leaf)(
             element.tag, dict(element.attrib), made, self.world, board

@@ -2,20 +2,12 @@
 
 import pytest
 from acting import Act, Clock
-from py_trees.behaviours import Success
 from py_trees.common import Status
-from xml_leaves import wrapped
 
 from kb import KnowledgeBase, Model
 from rosa_bt import (
-    BehaviourRegistry,
     IsActionFeasible,
-    TreeChangeError,
-    do_until_unfeasible,
-    export_xml,
     feasible_then_act,
-    first_feasible,
-    load_xml,
 )
 
 
@@ -40,18 +32,18 @@ def live(kb, clock, tree, seconds):
     """Tick once a second while the battery does as its model says."""
     for _ in range(seconds):
         clock.now += 1.0
-        doing = [one.action for one in kb.required_actions]
-        slopes = {one.while_: one.per_s for one in kb.model.attributes["energy"].rates}
+        doing = [action.action for action in kb.required_actions]
+        slopes = {rate.while_: rate.per_s for rate in kb.model.attributes["energy"].rates}
         change = sum(slopes.get(one, 0.0) for one in doing)
         kb.measure("energy", min(1.0, max(0.0, kb.attributes["energy"].value + change)))
         tree.tick_once()
 
 
 def doing(kb):
-    return [one.action for one in kb.required_actions]
+    return [action.action for action in kb.required_actions]
 
 
-def test_action_that_would_not_stay_feasible_as_long_as_it_takes_is_not_begun(kb):
+def test_action_that_would_be_cut_off_is_not_begun(kb):
     kb.measure("energy", 0.4)
     condition = IsActionFeasible("can?", kb, "inspect", during=20.0)
     condition.tick_once()
@@ -66,7 +58,7 @@ def test_action_that_would_not_stay_feasible_as_long_as_it_takes_is_not_begun(kb
     assert shorter.feedback_message == ""
 
 
-def test_what_is_begun_needs_only_what_is_left_of_its_time(kb, clock):
+def test_running_action_needs_what_is_left_of_its_time(kb, clock):
     kb.measure("energy", 0.5)
     tree = feasible_then_act(Act(kb, "inspect"), during=20.0)
     tree.tick_once()
@@ -76,46 +68,3 @@ def test_what_is_begun_needs_only_what_is_left_of_its_time(kb, clock):
     live(kb, clock, tree, 3)
     assert not kb.is_feasible("inspect")
     assert doing(kb) == []
-
-
-def test_task_gives_way_before_it_would_be_cut_off_and_goes_on_when_it_can_be_finished(kb, clock):
-    kb.measure("energy", 0.4)
-    tree = do_until_unfeasible(Act(kb, "inspect"), Act(kb, "charge"), during=20.0)
-    tree.tick_once()
-    assert doing(kb) == ["charge"]
-    live(kb, clock, tree, 1)
-    assert doing(kb) == ["inspect"]  # 0.45 lasts for 20 s
-    live(kb, clock, tree, 5)
-    kb.model.attributes["energy"].changes(-0.05, while_="inspect")  # more than was thought
-    live(kb, clock, tree, 1)
-    assert doing(kb) == ["charge"]
-    assert kb.is_feasible("inspect")
-
-
-def test_first_task_that_can_be_finished_is_done(kb):
-    kb.measure("energy", 0.4)
-    tree = first_feasible("one", [Act(kb, "inspect"), Act(kb, "charge")], during=20.0)
-    tree.tick_once()
-    assert doing(kb) == ["charge"]
-    with pytest.raises(TreeChangeError, match="not a RosaAction"):
-        first_feasible("one", [Success("work")], during=20.0)
-
-
-def test_a_file_says_how_long_an_action_takes(kb):
-    kb.measure("energy", 0.4)
-    text = wrapped(
-        '<Fallback><IsActionFeasible action="inspect" during="20"/><IsActionFeasible action="search" during="10"/>'
-        "</Fallback>"
-    )
-    root = load_xml(text, BehaviourRegistry(kb=kb))
-    root.tick_once()
-    found = [one.status for one in root.iterate() if isinstance(one, IsActionFeasible)]
-    assert found == [Status.FAILURE, Status.SUCCESS]
-    again = load_xml(export_xml(root), BehaviourRegistry(kb=kb))
-    assert [one.during for one in again.iterate() if isinstance(one, IsActionFeasible)] == [
-        20.0,
-        10.0,
-    ]
-    written = export_xml(IsActionFeasible("can?", kb, "inspect", during=2.5))
-    alone = load_xml(written, BehaviourRegistry(kb=kb))
-    assert [one.during for one in alone.iterate() if isinstance(one, IsActionFeasible)] == [2.5]

@@ -15,9 +15,7 @@ from rosa_bt import (
     BehaviourRegistry,
     ClockError,
     Delay,
-    ExportError,
     Retry,
-    RosaAction,
     Timeout,
     Timer,
     TraceVisitor,
@@ -82,28 +80,6 @@ def test_exception_is_raised_when_the_tree_is_stopped(hook):
     assert all(node.status is not Status.RUNNING for node in runner.tree.root.iterate())
 
 
-def test_exception_of_an_action_is_raised_and_its_request_released():
-    class Act(RosaAction):
-        def update(self):
-            raise OSError("no arm")
-
-    model = Model("rover")
-    model.action("dig")
-    kb = KnowledgeBase(model, clock=Clock())
-    runner = TreeRunner(Act("dig", kb, "dig"), clock=Clock(), on_error="raise")
-    with pytest.raises(OSError, match="no arm"):
-        runner.tick()
-    assert [request.result for request in kb.history.actions] == ["failed"]
-
-
-def test_exception_at_the_end_is_raised_by_shutdown():
-    runner = TreeRunner(Slip("terminate"), clock=Clock(), on_error="raise")
-    runner.tree.root.update = lambda: Status.RUNNING
-    runner.tick()
-    with pytest.raises(AttributeError, match="no spnge"):
-        runner.shutdown()
-
-
 def test_exception_is_in_the_trace_and_in_its_file(tmp_path):
     kb = KnowledgeBase(Model("rover"), clock=Clock())
     runner = slipping("terminate")
@@ -155,8 +131,8 @@ TIMED = {
     "retry": (lambda: Retry("again", child("FAILURE", "SUCCESS"), 3, pause=2.0), "RRSRRR"),
     "retry in vain": (lambda: Retry("again", child("FAILURE", "FAILURE"), 2, pause=2.0), "RRFRRR"),
     "retry at once": (lambda: Retry("again", child("FAILURE", "SUCCESS"), 3), "RSRRRR"),
-    "py_trees timer": (lambda: timers.Timer("wait", 3.0), "RRRRSR"),
-    "py_trees timeout": (lambda: decorators.Timeout("at most", child(), 3.0), "RRRRFR"),
+    "py_trees timer": (lambda: timers.Timer("wait", 3.0), "RRRSRR"),
+    "py_trees timeout": (lambda: decorators.Timeout("at most", child(), 3.0), "RRRFRR"),
 }
 
 
@@ -180,11 +156,6 @@ def test_timed_behaviour_that_is_written_and_read_does_the_same(case):
     assert run(tree, Clock(), 5.0) == expected
 
 
-def test_duration_that_xml_cannot_say_is_refused():
-    with pytest.raises(ExportError, match="whole milliseconds"):
-        export_xml(Timer("wait", 0.0004))
-
-
 @pytest.mark.parametrize("base", [timers.Timer, decorators.Timeout])
 def test_subclass_that_reads_the_computers_clock_is_refused(base):
     class Mine(base):
@@ -192,18 +163,18 @@ def test_subclass_that_reads_the_computers_clock_is_refused(base):
             return super().update()
 
     root = Mine("m", 3.0) if base is timers.Timer else Mine("m", child(), 3.0)
-    with pytest.raises(TreeChangeError, match=f"derive it from rosa_bt.decorators.{base.__name__}"):
+    with pytest.raises(TreeChangeError, match=r"derive it from rosa_bt\.Timeout or"):
         TreeRunner(root, clock=Clock())
 
 
-def test_tree_from_xml_follows_the_runner_unless_it_was_given_a_clock():
+def test_xml_tree_follows_the_runner_unless_it_has_a_clock():
     text = '<root BTCPP_format="4"><BehaviorTree><Sleep msec="3000"/></BehaviorTree></root>'
     assert run(load_xml(text, BehaviourRegistry()), Clock(), 4.0) == "RRRSR"
     stopped = load_xml(text, BehaviourRegistry(), clock=lambda: 0.0)
     assert run(stopped, Clock(), 4.0) == "RRRRR"
 
 
-@pytest.mark.parametrize("make", [lambda: Timer("t", 5.0), lambda: timers.Timer("t", 4.0)])
+@pytest.mark.parametrize("make", [lambda: Timer("t", 5.0), lambda: timers.Timer("t", 5.0)])
 def test_clock_that_is_set_back_is_logged_and_followed(make, caplog):
     clock = Clock()
     runner = TreeRunner(make(), clock=clock, period=1.0)
@@ -242,8 +213,9 @@ class Horn(Behaviour):
         return Status.RUNNING
 
 
-def test_setup_reaches_every_behaviour_also_one_that_is_inserted_later():
-    first, second = Horn("first"), Horn("second")
+def test_setup_reaches_a_behaviour_inserted_later():
+    first = Horn("first")
+    second = Horn("second")
     root = Sequence("root", memory=True, children=[first])
     runner = TreeRunner(root, clock=Clock())
     runner.setup(sound="toot")
@@ -251,15 +223,3 @@ def test_setup_reaches_every_behaviour_also_one_that_is_inserted_later():
     runner.tree.insert_subtree(second, root.id, 1)
     runner.tick()
     assert (first.sound, second.sound) == ("toot", "toot")
-
-
-def test_setup_that_fails_later_is_reported():
-    root = Sequence("root", memory=True, children=[Horn("first")])
-    runner = TreeRunner(root, clock=Clock(), on_error="raise")
-    runner.setup(sound="toot")
-    late = Horn("late")
-    late.setup = lambda **kwargs: 1 / 0
-    root.add_child(late)
-    with pytest.raises(ZeroDivisionError):
-        runner.tick()
-    assert late.feedback_message.endswith("(in setup)")

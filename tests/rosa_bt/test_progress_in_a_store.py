@@ -1,13 +1,10 @@
 """Where an action is outlives the program: a store keeps it, and the next program's tree goes on from there."""
 
-import subprocess
-import sys
-
 import pytest
 from py_trees.common import Status
 
 from kb import KnowledgeBase, Model
-from rosa_bt import BehaviourRegistry, RosaAction, TreeRunner, forget_progress, load_xml
+from rosa_bt import BehaviourRegistry, RosaAction, TreeRunner, load_xml
 
 XML = '<root BTCPP_format="4"><BehaviorTree ID="Main"><Sequence><count/></Sequence></BehaviorTree></root>'
 
@@ -62,7 +59,7 @@ def path(tmp_path):
 
 
 @pytest.mark.parametrize("is_shut_down", [True, False])
-def test_next_program_goes_on_where_the_one_before_it_ended(path, is_shut_down):
+def test_next_program_goes_on_where_the_last_ended(path, is_shut_down):
     before = Program(path)
     assert before.tick(4) == 4
     if is_shut_down:
@@ -77,19 +74,7 @@ def test_next_program_goes_on_where_the_one_before_it_ended(path, is_shut_down):
     assert Program(path).tick(1) == 1
 
 
-def test_killed_program_is_gone_on_with(path):
-    script = (
-        "import os, sys\nfrom test_progress_in_a_store import Program\n"
-        "program = Program(sys.argv[1])\nprogram.tick(4)\nprogram.kb.flush(300)\nos._exit(9)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script, path], cwd=__file__.rpartition("/")[0], timeout=300
-    )
-    assert done.returncode == 9
-    assert Program(path).tick(1) == 5
-
-
-def test_mission_that_begins_anew_in_the_same_program_begins_at_the_beginning(path):
+def test_new_mission_begins_at_the_beginning(path):
     program = Program(path)
     program.tick(4)
     program.runner.shutdown()
@@ -98,32 +83,3 @@ def test_mission_that_begins_anew_in_the_same_program_begins_at_the_beginning(pa
     assert program.kb.history.progress == {}
     assert program.tick(1) == 2
     assert program.kb.history.progress == {("count", "count"): '{"done": 2}'}
-
-
-def test_what_is_forgotten_is_not_in_the_store_either(path):
-    program = Program(path)
-    program.tick(4)
-    program.runner.shutdown()
-    forget_progress(program.kb)
-    program.kb.close()
-    assert Program(path).tick(1) == 1
-
-
-def test_progress_outlives_a_snapshot_of_the_store(path):
-    program = Program(path)
-    program.tick(4)
-    for number in range(3000):
-        program.kb.note_no_choice(f"reason {number}")
-    program.kb.close()
-    after = Program(path)
-    assert after.kb.history.progress == {("count", "count"): '{"done": 4}'}
-    assert after.tick(1) == 5
-
-
-def test_progress_that_json_cannot_hold_is_kept_in_memory_only_and_said(path):
-    program = Program(path)
-    program.count.save_progress = lambda: {1, 2}
-    program.tick(2)
-    assert "progress is not saved" in program.count.feedback_message
-    assert program.count.status is Status.RUNNING
-    assert program.kb.history.progress == {}

@@ -1,7 +1,5 @@
 """A runner ticks in the time of a clock that is handed in, and leaves nothing running."""
 
-import re
-
 import pytest
 from py_trees.behaviour import Behaviour
 from py_trees.common import ParallelPolicy, Status
@@ -43,20 +41,9 @@ def test_tree_is_ticked_at_its_period_of_the_given_clock():
     assert runner.due == pytest.approx(12.5)
 
 
-def test_missed_ticks_are_not_made_up_for():
-    now = [0.0]
-    probe = Probe()
-    runner = TreeRunner(probe, clock=lambda: now[0], period=0.1)
-    assert runner.update()
-    now[0] = 5.05
-    assert runner.update()
-    assert not runner.update()
-    assert probe.ticks == 2
-    assert runner.due == pytest.approx(5.1)
-
-
-def test_exception_of_a_plain_behaviour_is_its_failure_with_the_text_and_stops_its_running_siblings():
-    steady, rash = Probe("steady"), Probe("rash", raises_at=2)
+def test_exception_is_a_failure_and_stops_the_siblings():
+    steady = Probe("steady")
+    rash = Probe("rash", raises_at=2)
     root = Parallel("root", policy=ParallelPolicy.SuccessOnAll(), children=[steady, rash])
     runner = TreeRunner(root, clock=lambda: 0.0)
     runner.tick()
@@ -70,36 +57,16 @@ def test_exception_of_a_plain_behaviour_is_its_failure_with_the_text_and_stops_i
     assert root.status is Status.RUNNING
 
 
-def test_all_are_stopped_although_one_of_them_cannot_be():
-    class Stubborn(Probe):
-        def terminate(self, new_status):
-            raise OSError("stuck")
-
-    stubborn, gentle = Stubborn("stubborn"), Probe("gentle")
-    root = Parallel("root", policy=ParallelPolicy.SuccessOnAll(), children=[stubborn, gentle])
-    runner = TreeRunner(root, clock=lambda: 0.0)
-    runner.tick()
-    runner.shutdown()
-    assert gentle.ended == [Status.INVALID]
-    assert stubborn.status is Status.INVALID
-    assert re.fullmatch(
-        r"OSError: stuck; .*\.py, line \d+ \(at the end\)", stubborn.feedback_message
-    )
-
-
-@pytest.mark.parametrize("period", [0.0, -1.0, float("nan")])
-def test_period_is_more_than_zero(period):
-    with pytest.raises(ValueError, match="more than 0 s"):
-        TreeRunner(Probe(), clock=lambda: 0.0, period=period)
-
-
 def running(*children):
     root = Sequence("root", memory=True, children=children)
     return root, TreeRunner(root, clock=lambda: 0.0)
 
 
-def test_tree_is_changed_between_ticks_by_the_methods_of_py_trees():
-    done, first, second, third = Probe("done"), Probe("first"), Probe("second"), Probe("third")
+def test_tree_is_changed_between_ticks_as_in_py_trees():
+    done = Probe("done")
+    first = Probe("first")
+    second = Probe("second")
+    third = Probe("third")
     done.update = lambda: Status.SUCCESS
     root, runner = running(done, first)
     runner.tick()
@@ -114,60 +81,6 @@ def test_tree_is_changed_between_ticks_by_the_methods_of_py_trees():
     runner.tree.prune_subtree(third.id)
     runner.tick()
     assert (root.status, third.ended, second.ticks) == (Status.RUNNING, [Status.INVALID], 1)
-
-
-def test_what_is_taken_out_behind_the_back_of_py_trees_is_stopped_at_the_next_tick_or_the_end():
-    lost = [Probe("first"), Probe("second")]
-    root, runner = running(lost[0])
-    runner.tick()
-    root.children = [lost[1]]
-    runner.tick()
-    root.children = [Probe("third")]
-    runner.shutdown()
-    assert [one.ended for one in lost] == [[Status.INVALID], [Status.INVALID]]
-
-
-def test_tree_may_be_changed_directly_between_ticks_and_is_guarded_all_the_same():
-    root, runner = running(Probe("first"))
-    runner.tick()
-    root.prepend_child(Probe("rash", raises_at=1))
-    root.stop(Status.INVALID)
-    runner.tick()
-    assert root.status is Status.FAILURE
-    assert root.children[0].feedback_message.startswith("RuntimeError: boom; ")
-
-
-def test_what_interrupts_a_tick_stops_everything_and_is_raised():
-    class Interrupted(Probe):
-        def update(self):
-            raise KeyboardInterrupt
-
-    steady = Probe("steady")
-    root = Parallel(
-        "root", policy=ParallelPolicy.SuccessOnAll(), children=[steady, Interrupted("x")]
-    )
-    runner = TreeRunner(root, clock=lambda: 0.0)
-    with pytest.raises(KeyboardInterrupt):
-        runner.tick()
-    assert steady.ended == [Status.INVALID]
-
-
-def test_each_behaviour_is_shut_down_although_one_of_them_raises_in_it():
-    class Broken(Probe):
-        def shutdown(self):
-            raise OSError("no such device")
-
-    class Closing(Probe):
-        closed = False
-
-        def shutdown(self):
-            self.closed = True
-
-    closing = Closing("closing")
-    _, runner = running(Broken("broken"), closing)
-    with pytest.raises(OSError, match="no such device"):
-        runner.shutdown()
-    assert closing.closed
 
 
 def test_visitors_and_handlers_are_called_as_by_py_trees():
@@ -192,21 +105,3 @@ def test_visitors_and_handlers_are_called_as_by_py_trees():
     assert heard[runner.tree] == heard[plain]
     assert heard[plain]
     assert root.status is Status.RUNNING
-
-
-def test_another_runner_may_take_a_tree_over_and_either_may_be_shut_down_first():
-    rash = Probe("rash", raises_at=3)
-    root, first = running(rash)
-    first.tick()
-    second = TreeRunner(root, clock=lambda: 0.0)
-    second.tick()
-    first.shutdown()
-    second.tick()
-    assert rash.feedback_message.startswith("RuntimeError: boom; ")
-    second.shutdown()
-    assert root.status is not Status.RUNNING
-
-
-def test_runner_needs_a_behaviour_to_run():
-    with pytest.raises(TypeError, match="root node must be an instance of"):
-        TreeRunner("root", clock=lambda: 0.0)

@@ -9,7 +9,7 @@ from py_trees.common import Status
 from py_trees.ports import PortInformation, PortsMixin
 
 from rosa_bt import BehaviourRegistry, TreeRunner, load_xml
-from rosa_bt.xml.controls import NODES
+from rosa_bt.xml.nodes import NODES
 
 TREES = Path(__file__).parent / "trees"
 BLANK = "' ' cannot stand in an ID"
@@ -99,7 +99,8 @@ def registry_for(path):
         "root",
         "TreeNodesModel",
     }
-    registry, ports = BehaviourRegistry(), {}
+    registry = BehaviourRegistry()
+    ports = {}
     for identifier, tag, attributes in leaves:
         names = re.findall(r"\b(?<!_)([a-z]\w*)=", attributes)
         ports.setdefault(identifier or tag, set()).update(set(names) - {"name", "ID"})

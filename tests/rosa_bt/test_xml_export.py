@@ -1,24 +1,33 @@
 """Trees are written so that they can be read again and mean the same, or not at all."""
 
+from random import Random
+
 import pytest
+from acting import Clock
 from py_trees import behaviours, common, composites, decorators
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
-from py_trees.ports import PortsMixin
 from xml_leaves import registry_of, trace, wrapped
 
 from kb import KnowledgeBase, Model
 from rosa_bt import (
     BehaviourRegistry,
     ExportError,
-    IsActionFeasible,
+    ForAction,
     RosaAction,
     TreeRunner,
+    UntilSuccess,
+    XmlError,
+    do_until_unfeasible,
     export_xml,
+    feasible_then_act,
+    first_feasible,
     load_xml,
+    switch_safely,
 )
 
-LEAVES = {"a": ("A", "RS"), "b": ("A", "SF"), "c": ("C", "SSF")}
+LEAVES = {"a": ("A", "RS"), "b": ("A", "SF"), "c": ("C", "SSF"), "d": ("A", "S")}
+ACTIONS = ("scan", "drive", "charge")
 
 
 class Look(Behaviour):
@@ -29,164 +38,95 @@ class Look(Behaviour):
 
 
 class Turn(Behaviour):
-    """Needs an angle."""
+    """Takes two ticks."""
 
-    def __init__(self, name, angle):
+    def initialise(self):
+        self.left = 2
+
+    def update(self):
+        self.left -= 1
+        return Status.RUNNING if self.left else Status.SUCCESS
+
+
+class Spin(Look):
+    """Needs a speed."""
+
+    def __init__(self, name, speed):
         super().__init__(name)
-        self.turned = angle
+        self.turns = speed
+
+
+class Work(RosaAction):
+    """Takes three ticks; each third time it fails."""
+
+    rounds = 0
+
+    def initialise(self):
+        self.left = 3
+        self.rounds += 1
 
     def update(self):
-        return Status.SUCCESS
+        self.left -= 1
+        if self.left:
+            return Status.RUNNING
+        return Status.FAILURE if self.rounds % 3 == 0 else Status.SUCCESS
 
 
-class Scan(RosaAction):
-    """Scans for ever."""
-
-    def update(self):
-        return Status.RUNNING
-
-
-class Zoom(Scan):
-    """Hands on what it is made with."""
-
-    def __init__(self, name, kb, action=None, **more):
-        super().__init__(name, kb, action, **more)
+def rover(clock):
+    model = Model("rover")
+    for name in ACTIONS:
+        model.action(name, constraints=[model.environmental_attribute(f"for_{name}") >= 0.5])
+    return KnowledgeBase(model, clock=clock)
 
 
-class Remember(Zoom):
-    """Keeps what it was made with where nobody looks."""
+def registered(kb):
+    registry = BehaviourRegistry(kb=kb)
+    for kind in (Look, Turn, Work):
+        registry.register(kind.__name__, kind)
+    return registry
 
-    def __init__(self, name, kb, action=None, memory=0):
-        super().__init__(name, kb, action)
-        self._kept = memory
 
-
-@pytest.mark.parametrize(
-    ("tree", "written"),
-    [
-        (
-            lambda: composites.Sequence("s", memory=True, children=[Look("l")]),
-            '<Sequence name="s">',
-        ),
-        (
-            lambda: composites.Sequence("s", memory=False, children=[Look("l")]),
-            '<ReactiveSequence name="s">',
-        ),
-        (
-            lambda: composites.Selector("s", memory=True, children=[Look("l")]),
-            '<Fallback name="s">',
-        ),
-        (
-            lambda: composites.Selector("s", memory=False, children=[Look("l")]),
-            '<ReactiveFallback name="s">',
-        ),
-        (lambda: decorators.Inverter("d", Look("l")), '<Inverter name="d">'),
-        (lambda: decorators.FailureIsSuccess("d", Look("l")), '<ForceSuccess name="d">'),
-        (lambda: decorators.SuccessIsFailure("d", Look("l")), '<ForceFailure name="d">'),
-        (lambda: behaviours.Success("yes"), '<AlwaysSuccess name="yes" />'),
-        (lambda: behaviours.Failure("no"), '<AlwaysFailure name="no" />'),
-        (lambda: Look('look "<& ä'), '<Look name="look &quot;&lt;&amp; ä" />'),
-    ],
-)
-def test_what_py_trees_shares_with_it_is_written_and_read_again(tree, written):
-    text = export_xml(tree())
-    assert written in text
-    registry = BehaviourRegistry()
-    registry.register("Look", Look)
-    again = load_xml(text, registry)
-    before = tree()
-    before.tick_once()
-    again.tick_once()
-    assert again.status is before.status
-    assert [one.name for one in again.iterate()][:-1] == [one.name for one in before.iterate()]
+def sequence(memory, *children):
+    return composites.Sequence("s", memory=memory, children=list(children))
 
 
 @pytest.mark.parametrize(
     ("tree", "message"),
     [
         (
-            lambda: composites.Parallel("p", common.ParallelPolicy.SuccessOnAll(), [Look("l")]),
+            composites.Parallel("p", common.ParallelPolicy.SuccessOnAll(), [Look("l")]),
             "Parallel 'p' has no exact",
         ),
-        (lambda: decorators.Repeat("r", Look("l"), num_success=2), "Repeat 'r' has no exact"),
-        (lambda: decorators.Retry("r", Look("l"), num_failures=2), "Retry 'r' has no exact"),
-        (lambda: decorators.Timeout("t", Look("l"), duration=1.0), "Timeout 't' has no exact"),
-        (lambda: decorators.SuccessIsRunning("k", Look("l")), "SuccessIsRunning 'k' has no exact"),
-        (
-            lambda: composites.Sequence("s", memory=True),
-            "Sequence 's' without children has no exact",
-        ),
-        (lambda: Turn("t", 3.0), "Turn 't' was made with angle, which cannot be written"),
-        (
-            lambda: behaviours.TickCounter("t", 3, Status.SUCCESS),
-            "TickCounter 't' was made with duration",
-        ),
-        (lambda: Look("\x00"), "cannot be written so that it can be read again"),
-        (
-            lambda: type("Sequence", (Look,), {})("s"),
-            "'Sequence' is a node of BehaviorTree.CPP itself",
-        ),
+        (decorators.Retry("r", Look("l"), num_failures=2), "Retry 'r' has no exact"),
+        (sequence(True), "Sequence 's' without children has no exact"),
+        (Spin("t", 3), "Spin 't' was made with speed, which cannot be written"),
+        (Look("\x00"), "cannot be written so that it can be read again"),
+        (type("Sequence", (Look,), {})("s"), "'Sequence' is a node of BehaviorTree.CPP itself"),
+        (Work("w", rover(Clock())), "'w' names no action"),
     ],
 )
-def test_what_has_no_exact_counterpart_is_refused_by_name(tree, message):
+def test_tree_without_counterpart_is_refused_by_name(tree, message):
     with pytest.raises(ExportError, match=message):
-        export_xml(tree())
+        export_xml(tree)
 
 
-def test_leaves_have_the_names_under_which_they_are_registered():
+@pytest.mark.parametrize("name", ["look around", "a/b", "Root"])
+def test_name_that_the_library_refuses_is_refused(name):
+    registry = BehaviourRegistry()
+    registry.register(name, Look)
+    with pytest.raises(ExportError, match=f"{name!r}.*write '.*' instead"):
+        export_xml(Look("look"), registry)
+
+
+def test_leaf_has_the_name_under_which_it_is_registered():
     registry = BehaviourRegistry()
     registry.register("look_around", Look)
-    registry.register("left", lambda name: Turn(name, 90.0))
-    tree = composites.Sequence("s", memory=True, children=[Look("l"), Turn("left", 90.0)])
-    text = export_xml(tree, registry)
-    assert '<look_around name="l" />' in text
+    registry.register("left", lambda name: Spin(name, 90))
+    text = export_xml(sequence(True, Look('"<& ä'), Spin("left", 90)), registry)
+    assert '<look_around name="&quot;&lt;&amp; ä" />' in text
     assert '<left name="left" />' in text
-    for name in ("right", "look_around"):
-        with pytest.raises(ExportError, match=f"Turn '{name}' is not registered"):
-            export_xml(Turn(name, -90.0), registry)
-
-
-class Beep(PortsMixin, Behaviour):
-    """Takes the name of its tag, as all that have ports of py_trees can, and has none."""
-
-    INPUT_PORTS = {}  # noqa: RUF012  # as py_trees has it
-    OUTPUT_PORTS = {}  # noqa: RUF012  # as py_trees has it
-
-    def update(self):
-        return Status.SUCCESS
-
-
-def test_leaf_that_takes_the_name_of_its_tag_is_written():
-    registry = BehaviourRegistry()
-    registry.register("Beep", Beep)
-    text = export_xml(Beep("horn"), registry)
-    assert '<Beep name="horn" />' in text
-    assert export_xml(load_xml(text, registry=registry), registry) == text
-
-
-def test_actions_are_written_with_what_they_do():
-    model = Model("rover")
-    model.environmental_attribute("light")
-    model.action("scan")
-    kb = KnowledgeBase(model, clock=lambda: 0.0)
-    registry = BehaviourRegistry(kb=kb)
-    registry.register("Scan", Scan)
-    children = [IsActionFeasible("can?", kb, "scan"), Scan("do", kb, "scan", "light")]
-    text = export_xml(composites.Sequence("s", memory=False, children=children), registry)
-    load_xml(text, registry).tick_once()
-    assert [(one.action, one.preference) for one in kb.required_actions] == [("scan", "light")]
-    written = export_xml(Scan("do", kb, "scan", wait=True, timeout=2.5), registry)
-    assert '<Scan name="do" action="scan" wait="true" timeout="2.5" />' in written
-    again = load_xml(written, registry).child.node
-    assert (again.wait, again.timeout) == (True, 2.5)
-    registry.register("Zoom", Zoom)
-    assert load_xml(
-        export_xml(Zoom("in", kb, "scan", preference="light"), registry), registry
-    ).child.node.preference
-    with pytest.raises(ExportError, match="was made with memory"):
-        export_xml(Remember("in", kb, "scan", 3))
-    with pytest.raises(ExportError, match="'do' names no action"):
-        export_xml(Scan("do", kb), registry)
+    with pytest.raises(ExportError, match="Spin 'right' is not registered"):
+        export_xml(Spin("right", -90), registry)
 
 
 FULL = """
@@ -204,52 +144,125 @@ FULL = """
 """
 
 
-def test_all_that_is_written_in_a_file_is_written_again():
-    said = []
-    registry = registry_of(LEAVES, said)
+def test_file_is_written_as_it_was():
+    registry = registry_of(LEAVES, [])
     first = export_xml(load_xml(FULL, registry))
     assert "".join(first.split()) == "".join(FULL.split())
     assert export_xml(load_xml(first, registry)) == first
 
 
-def test_tree_that_was_changed_while_it_ran_is_written_as_it_is_now():
-    said = []
-    registry = registry_of({**LEAVES, "d": ("A", "S")}, said)
+def test_tree_that_was_changed_while_it_ran_is_written_as_it_is():
+    registry = registry_of(LEAVES, [])
     content = '<Sequence><SubTree ID="Sub"/><SubTree ID="Sub"/></Sequence>'
     tree = load_xml(wrapped(content, Sub="<Sequence><a/><b/></Sequence>"), registry)
-    runner = TreeRunner(tree, clock=lambda: 0.0)
+    runner = TreeRunner(tree, clock=Clock())
     runner.tick()
     second = tree.child.node.children[1].child.node
-    runner.tree.replace_subtree(
-        second.children[0].id, registry.entries["d"].make("d", {}, [], tree.blackboard)
-    )
+    runner.tree.replace_subtree(second.children[0].id, registry.entries["d"].factory("d"))
     runner.tree.insert_subtree(behaviours.Success("yes"), second.id, 1)
     runner.tree.prune_subtree(second.children[2].id)
     runner.tick()
     text = export_xml(tree, registry)
-    assert '<SubTree ID="Sub_2" />' in text
-    assert '<d name="d" />' in text
-    assert '<AlwaysSuccess name="yes" />' in text
+    for part in ('<SubTree ID="Sub_2" />', '<d name="d" />', '<AlwaysSuccess name="yes" />'):
+        assert part in text
     assert text.count("<b />") == 1
     load_xml(text, registry)
 
 
-def test_part_of_a_tree_can_be_written():
-    registry = registry_of(LEAVES, [])
-    tree = load_xml(wrapped("<Sequence><a/><Inverter><b/></Inverter></Sequence>"), registry)
-    part = load_xml(export_xml(tree.child.node.children[1]), registry)
-    assert [type(one).__name__ for one in part.iterate()] == ["Exact", "Inverter", "SubTree"]
-
-
 def test_tree_that_changes_goes_on_where_it_was():
     said = []
-    registry = registry_of({**LEAVES, "d": ("A", "S")}, said)
+    registry = registry_of(LEAVES, said)
     tree = load_xml(wrapped("<Sequence><b/><a/><b/></Sequence>"), registry)
-    runner = TreeRunner(tree, clock=lambda: 0.0)
-    sequence = tree.child.node
+    runner = TreeRunner(tree, clock=Clock())
     runner.tick()
     for place in (0, 3):
-        runner.tree.insert_subtree(
-            registry.entries["d"].make("d", {}, [], tree.blackboard), sequence.id, place
-        )
+        leaf = registry.entries["d"].factory("d")
+        runner.tree.insert_subtree(leaf, tree.child.node.id, place)
     assert trace(runner.tick, tree, said, 1) == ["0| a:r:S d:s:S b:s:F => FAILURE"]
+
+
+def work(kb, name="scan", **arguments):
+    return Work(name, kb, name, **arguments)
+
+
+def first(kb, **arguments):
+    return first_feasible("first", [work(kb, name) for name in ACTIONS], **arguments)
+
+
+IDIOMS = {
+    "feasible": (lambda kb: feasible_then_act(work(kb)), "<IsActionFeasible"),
+    "first": (first, "<ReactiveFallback"),
+    "first that goes on": (lambda kb: first(kb, memory=True), "<Fallback"),
+    "until": (lambda kb: do_until_unfeasible(work(kb), work(kb, "charge")), "<DoUntilUnfeasible"),
+    "until, to the end": (
+        lambda kb: do_until_unfeasible(work(kb), work(kb, "charge"), memory=True),
+        '<DoUntilUnfeasible name="scan, or else charge" memory="true">',
+    ),
+    "subtree": (
+        lambda kb: do_until_unfeasible(UntilSuccess("again", first(kb)), work(kb, "charge")),
+        "<UntilSuccess",
+    ),
+    "under an action": (
+        lambda kb: ForAction("for", kb, "scan", Turn("turn"), preference="for_scan", timeout=3),
+        'preference="for_scan" timeout="3"',
+    ),
+    "waiting": (
+        lambda kb: work(kb, preference="for_scan", wait=True, timeout=2.5),
+        '<Work name="scan" action="scan" preference="for_scan" wait="true" timeout="2.5" />',
+    ),
+    "switching": (
+        lambda kb: switch_safely(
+            do_until_unfeasible(
+                work(kb), first_feasible("or", [work(kb, "drive"), work(kb, "charge")])
+            ),
+            {("scan", "charge"): Turn("down"), ("charge", "scan"): Turn("up")},
+        ),
+        '<SafeSwitch name="switch to scan" action="scan" after="charge">',
+    ),
+}
+
+
+def run(build, seed):
+    """Return what a tree did and what the knowledge base came to know, tick by tick."""
+    clock = Clock()
+    random = Random(seed)
+    kb = rover(clock)
+    runner = TreeRunner(build(kb), clock=clock)
+    happened = []
+    for _ in range(60):
+        clock.now += 1.0
+        for name in ACTIONS:
+            if random.random() < 0.3:
+                kb.measure(f"for_{name}", random.choice((0.0, 1.0)))
+        runner.tick()
+        nodes = [node for node in runner.tree.root.iterate() if isinstance(node, Turn | Work)]
+        running = sorted(node.name for node in nodes if node.status is Status.RUNNING)
+        events = [(event.verb, event.arguments) for event in kb.log.since(0)]
+        happened.append((runner.status, running, events[-6:]))
+    return happened
+
+
+@pytest.mark.parametrize("name", IDIOMS)
+def test_idiom_that_was_written_and_read_does_the_same(name):
+    build, part = IDIOMS[name]
+
+    def read_again(kb):
+        text = export_xml(build(kb), registered(kb))
+        assert part in text
+        return load_xml(text, registered(kb))
+
+    for seed in range(3):
+        assert run(read_again, seed) == run(build, seed)
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        ("<DoUntilUnfeasible><Turn/></DoUntilUnfeasible>", "it takes 2 children: the task"),
+        ('<SafeSwitch action="scan" after="drive"><Turn/></SafeSwitch>', "a child for each action"),
+        ('<ForAction action="scann"><Turn/></ForAction>', "scann"),
+    ],
+)
+def test_idiom_that_is_written_wrongly_is_refused(content, problem):
+    with pytest.raises(XmlError, match=problem):
+        load_xml(wrapped(content), registered(rover(Clock())))

@@ -97,7 +97,8 @@ def registry_for(case, said):
     registry = BehaviourRegistry()
     for tag, (kind, script) in case["leaves"].items():
         ports = case.get("ports", {}).get(tag, {})
-        ins, outs = ports.get("in", {}), ports.get("out", {})
+        ins = ports.get("in", {})
+        outs = ports.get("out", {})
         cls = type(tag, (Action if kind == "A" else Leaf,), {})
         cls.INPUT_PORTS = {
             name: PortInformation(TYPES[of], required=False) for name, of in ins.items()
@@ -106,7 +107,8 @@ def registry_for(case, said):
             name: PortInformation(TYPES[of], required=False) for name, (of, _) in outs.items()
         }
         cls.written = {
-            name: cycle([held(of, one) for one in values]) for name, (of, values) in outs.items()
+            name: cycle([held(of, value) for value in values])
+            for name, (of, values) in outs.items()
         }
         cls.tag, cls.script, cls.said = tag, cycle(script), said
         registry.register(tag, cls, kind="action" if kind == "A" else "condition")
@@ -149,7 +151,8 @@ def board_differences(recorded, boards):
 
 def differences(case):
     """Yield in which a case is not as it was recorded."""
-    said, clock = [], Hand()
+    said = []
+    clock = Hand()
     try:
         tree = load_xml(
             case["xml"], registry_for(case, said), enums=case.get("enums", {}), clock=clock
@@ -160,7 +163,7 @@ def differences(case):
         return
     subtrees = [tree, *subtrees_of(tree)]
     recorded = case["loaded"]
-    yield from board_differences(recorded, [one.blackboard for one in subtrees])
+    yield from board_differences(recorded, [subtree.blackboard for subtree in subtrees])
     for number, line in enumerate(case["trace"]):
         if "times" in case:
             clock.now = case["times"][number]
@@ -180,7 +183,7 @@ def differences(case):
             return
         if case["boards"][number] is not None:
             recorded = case["boards"][number]
-        found = list(board_differences(recorded, [one.blackboard for one in subtrees]))
+        found = list(board_differences(recorded, [subtree.blackboard for subtree in subtrees]))
         if found:
             yield f"tick {number}: {'; '.join(found)}"
             return

@@ -15,7 +15,8 @@ class Condition(Behaviour):
 
     def __init__(self, name, script, said):
         super().__init__(name)
-        self.script, self.said = script, said
+        self.script = script
+        self.said = said
 
     def update(self):
         result = next(self.script)
@@ -28,7 +29,8 @@ class Action(Behaviour):
 
     def __init__(self, name, script, said):
         super().__init__(name)
-        self.script, self.said = script, said
+        self.script = script
+        self.said = said
         self.hook = ""
 
     def initialise(self):
@@ -59,7 +61,10 @@ class Exact(Action):
 
 
 def registry_of(leaves, said):
-    """Return a registry of leaves, given as {tag: (kind, script)}; a leaf in several places has one script for all."""
+    """Return a registry of leaves, given as {tag: (kind, script)}.
+
+    A leaf in several places has one script for all.
+    """
     registry = BehaviourRegistry()
     for tag, (kind, script) in leaves.items():
         cls = Exact if kind == "A" else Condition

@@ -2,7 +2,7 @@
 import { useEffect, useRef } from "preact/hooks";
 import { clock, pretty } from "./format.js";
 import { Panel, reveal } from "./parts.jsx";
-import { adaptation, adaptations, chain, choose, chosen, runs, seek, selected, shown, time } from "./state.js";
+import { adaptation, adaptations, chain, choose, chosen, seek, selected, time } from "./state.js";
 
 const Item = ({ id, one }) => (
   <li class={one.t > time.value ? "later" : ""}>
@@ -15,33 +15,13 @@ const Item = ({ id, one }) => (
   </li>
 );
 
-/** What two runs differ in; choosing it shows the run whose adaptation it is. */
-function Differences({ all }) {
-  const go = ({ t, a, b }) => {
-    if ((a ?? b) !== null) {
-      shown.value = a === null ? 1 : 0;
-      chosen.value = String(a ?? b);
-    }
-    seek(t);
-  };
-  return (
-    <details open class="differences">
-      <summary>What differs ({all.length})</summary>
-      {all.map((one, index) => (
-        <button key={index} class="plain" onClick={() => go(one)}><b>{clock(one.t)}</b> {pretty(one.words)}</button>
-      ))}
-    </details>
-  );
-}
-
-export function Adaptations({ differences }) {
+export function Adaptations() {
   const list = useRef(null);
   useEffect(() => reveal(list.current, list.current.querySelector("[aria-pressed=true]")), [chosen.value]);
   const all = adaptations.value;
   return (
     <Panel id="adaptations" title="Adaptations" aside={<small>{all.length}</small>}>
       <div class="body" ref={list} tabIndex={0} role="group" aria-label="list of adaptations">
-        {runs.value.length > 1 && <Differences all={differences} />}
         <ol>{all.map(([key, one]) => <Item key={key} id={key} one={one} />)}</ol>
         {all.length === 0 && <p class="muted">Nothing had to be adapted.</p>}
       </div>

@@ -1,5 +1,5 @@
 // The page: its head, its panels, and what a screen reader is told.
-import { batch, useComputed } from "@preact/signals";
+import { useComputed } from "@preact/signals";
 import { Adaptations, Chain } from "./adaptations.jsx";
 import { clock, withUnit } from "./format.js";
 import { KEYS } from "./keys.js";
@@ -8,7 +8,7 @@ import { Knowledge } from "./knowledge.jsx";
 import { Events } from "./log.jsx";
 import { complaint, connection, dropped, may, order, state } from "./live.js";
 import { Scene } from "./scene.jsx";
-import { adaptations, chosen, enlarged, revision, run, runs, shown, tab, time } from "./state.js";
+import { adaptations, enlarged, revision, run, tab, time } from "./state.js";
 import { theme, toggleTheme } from "./theme.js";
 import { Timelines } from "./timelines.jsx";
 import { Transport } from "./transport.jsx";
@@ -73,18 +73,6 @@ function Help() {
   );
 }
 
-/** Which of two runs is shown. */
-function Sides() {
-  const show = (side) => batch(() => ([shown.value, chosen.value] = [side, null]));
-  return (
-    <div class="tools" role="group" aria-label="run">
-      {runs.value.map(({ header: { title, task, seed } }, side) => (
-        <button key={side} aria-pressed={shown.value === side} onClick={() => show(side)}>{"AB"[side]}: {title} {task}, seed {seed}</button>
-      ))}
-    </div>
-  );
-}
-
 function Head({ note }) {
   const { title, words, task, manager, seed } = run.value.header;
   const other = manager !== "ours" && manager && `manager: ${manager}`;
@@ -94,7 +82,6 @@ function Head({ note }) {
     <header class="head">
       <h1>{title}</h1>
       <small class="words">{facts.filter(Boolean).join(" · ")}</small>
-      {runs.value.length > 1 && <Sides />}
       <Results />
       {connection.value !== "none" && <Live />}
       <button aria-label={isDark ? "light" : "dark"} title="light or dark (d)" onClick={toggleTheme}>{isDark ? "☀︎" : "☾"}</button>
@@ -113,14 +100,14 @@ function Told() {
   return <p class="unseen" aria-live="polite">{latest && `Adaptation at ${clock(latest.t)}: ${latest.cause}; ${latest.changed}`}</p>;
 }
 
-export function App({ differences, note }) {
+export function App({ note }) {
   if (!run.value) return <main role="status">{complaint.value || `Connecting to the mission: ${connection.value}.`}</main>;
   return (
     <>
       <Head note={note} />
       <main class={enlarged.value ? "has-large" : ""}>
         <Chain />
-        <Adaptations differences={differences} />
+        <Adaptations />
         <Scene />
         <Tree />
         <Side />

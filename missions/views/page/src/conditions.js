@@ -1,6 +1,6 @@
 // Conditions such as "inspect_pipeline unfeasible", "battery_level < 0.25" or "follow pipeline success": when they begin to hold.
 import { computed, signal } from "@preact/signals";
-import { run, runs } from "./state.js";
+import { run } from "./state.js";
 
 const LETTERS = { running: "R", success: "S", failure: "F" };
 const SAME = { failed: "failure", recovered: "feasible" };
@@ -44,7 +44,7 @@ export function nextTime(text, t) {
 
 /** The first breakpoint that is met after one instant and up to another; undefined if none is. */
 export function stopBetween(from, until) {
-  const times = runs.value.length ? breakpoints.value.map((text) => nextTime(text, from)) : [];
+  const times = run.value ? breakpoints.value.map((text) => nextTime(text, from)) : [];
   return times.filter((t) => t <= until).sort((a, b) => a - b)[0];
 }
 

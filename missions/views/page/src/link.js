@@ -1,7 +1,7 @@
-// The address keeps what is shown: #t=151.0&a=7 (adaptation) &e=12 (element) &r=1 (the second run) &p=tree (enlarged)
+// The address keeps what is shown: #t=151.0&a=7 (adaptation) &e=12 (element) &p=tree (enlarged)
 // &o=scene,tree,... (order of the panels) &b=log (of those that share a place) &z=10,20 (the time that is zoomed).
 import { batch, effect } from "@preact/signals";
-import { adaptations, chosen, enlarged, isFollowing, order, PANELS, run, runs, seek, selected, shown, tab, time, zoomed } from "./state.js";
+import { adaptations, chosen, enlarged, isFollowing, order, PANELS, run, seek, selected, tab, time, zoomed } from "./state.js";
 
 const LATER_MS = 200; // browsers ration how often an address may change
 
@@ -11,7 +11,6 @@ export function readLink() {
   const t = parseFloat(said.get("t"));
   if (said.size && run.value) {
     batch(() => {
-      shown.value = runs.value[said.get("r")] ? Number(said.get("r")) : 0;
       chosen.value = adaptations.value.some(([key]) => key === said.get("a")) ? said.get("a") : null;
       selected.value = said.get("e");
       enlarged.value = PANELS.includes(said.get("p")) ? said.get("p") : null;
@@ -35,7 +34,6 @@ export function keepLink() {
     if (!isFollowing.value) said.set("t", String(Math.round(time.value * 1000) / 1000));
     if (chosen.value !== null) said.set("a", chosen.value);
     if (selected.value !== null) said.set("e", selected.value);
-    if (shown.value) said.set("r", shown.value);
     if (enlarged.value) said.set("p", enlarged.value);
     if (tab.value !== "whatif") said.set("b", tab.value);
     if (order.value !== PANELS) said.set("o", order.value);

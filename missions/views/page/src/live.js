@@ -2,7 +2,7 @@
 import { batch, signal } from "@preact/signals";
 import { readLink } from "./link.js";
 import { Run } from "./run.js";
-import { isFollowing, revision, run, runs, time } from "./state.js";
+import { isFollowing, revision, run, time } from "./state.js";
 
 const [PAST, MOST] = [20_000, 200_000]; // rows the server gives in one answer, and rows to keep
 const PATIENCE_MS = [500, 1000, 2000, 4000, 8000];
@@ -45,7 +45,7 @@ function greet({ hello, rows, now, first, next, may: allowed, state: is }) {
   const isSameRun = JSON.stringify(run.value?.header) === JSON.stringify(hello) && run.value.next <= next;
   const known = isSameRun ? run.value.next : first;
   if (isSameRun) run.value.add(rows);
-  else runs.value = [new Run({ header: hello, rows }, MOST)];
+  else run.value = new Run({ header: hello, rows }, MOST);
   if (!isSameRun) isFollowing.value = !readLink();
   run.value.next = next;
   may.value = allowed;

@@ -8,14 +8,14 @@ import { listenToKeys } from "./keys.js";
 import { keepLink, readLink } from "./link.js";
 import { connect } from "./live.js";
 import { Run } from "./run.js";
-import { adaptations, choose, end, run, runs, time } from "./state.js";
+import { adaptations, choose, end, run, time } from "./state.js";
 
 const given = JSON.parse(document.getElementById("rosa-data").textContent);
-runs.value = given.runs.map((one) => new Run(one));
+if (given.run) run.value = new Run(given.run);
 if (run.value) time.value = end.value;
 if (adaptations.value.length) choose(adaptations.value[0][0]);
 readLink();
 keepLink();
 listenToKeys();
-render(<App differences={given.differences} note={given.note} />, document.getElementById("app"));
+render(<App note={given.note} />, document.getElementById("app"));
 if (given.live) connect(given.live.socket);

@@ -1,8 +1,8 @@
-// A measurement over time, with its thresholds, where it was stale, and the other run's beside it where there are two.
+// A measurement over time, with its thresholds, where it was stale.
 import { effect, signal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
-import { end, revision, run, runs, shown, span, stepsOf, useAt } from "./state.js";
+import { end, revision, run, span, stepsOf, useAt } from "./state.js";
 import { clock, figure, pretty, withUnit } from "./format.js";
 import { Name, Standing } from "./parts.jsx";
 import { colour, theme } from "./theme.js";
@@ -13,11 +13,8 @@ const NAMED = 3; // names of a group of thresholds; the rest is counted
 export const hovered = signal(null); // the time where the pointer is
 const FAR = "1500px 0px"; // a plot farther out of sight than this is not made yet
 
-/** What a key of a track was in each run, as columns that uPlot takes; the last value holds to the end. */
-function columns(tracks) {
-  const tables = tracks.map(({ times, values }) => [[...times, end.value], [...values, values.at(-1) ?? null]]);
-  return tables.length > 1 ? uPlot.join(tables) : tables[0];
-}
+/** A track as columns that uPlot takes; the last value holds to the end. */
+const columns = ({ times, values }) => [[...times, end.value], [...values, values.at(-1) ?? null]];
 
 function shade(plot, spans) {
   const { ctx, bbox } = plot;
@@ -46,12 +43,7 @@ function rule(plot, limits) {
 
 const STEPPED = uPlot.paths.stepped({ align: 1 });
 
-/** The line of a run; the one shown is drawn through. */
-function line(_, side) {
-  const isShown = () => side === shown.peek();
-  const stroke = () => colour(isShown() ? "--ink" : "--hue-3");
-  return { stroke, dash: isShown() ? [] : [4, 3], width: 1.5, paths: STEPPED, points: { show: false }, spanGaps: true };
-}
+const LINE = { stroke: () => colour("--ink"), width: 1.5, paths: STEPPED, points: { show: false }, spanGaps: true };
 
 /** From where to where the numbers go: over all that was measured and its thresholds, and a tenth more at each end. */
 const spread = (limits) => (_, low, high) => {
@@ -60,26 +52,26 @@ const spread = (limits) => (_, low, high) => {
   return [least - more, most + more];
 };
 
-function options(width, limits, stale, count) {
+function options(width, limits, stale) {
   const grid = { stroke: () => colour("--line"), width: 1 };
   const numbers = { stroke: () => colour("--muted"), grid, ticks: { show: false }, font: "11px system-ui", size: AXIS, space: 26 };
   return {
     width, height: HEIGHT, legend: { show: false }, cursor: { show: false }, padding: [6, 0, 4, 0],
     scales: { x: { time: false, range: () => span.peek() }, y: { range: spread(limits) } },
     axes: [{ show: false }, { ...numbers, values: (_, ticks) => ticks.map((tick) => figure(tick)) }],
-    series: [{}, ...Array.from({ length: count }, line)],
+    series: [{}, LINE],
     hooks: { drawClear: [(plot) => shade(plot, stale())], draw: [(plot) => rule(plot, limits)] },
   };
 }
 
-/** The canvas; `tracks` gives what is drawn of each run, `stale` where it was too old. */
-function Canvas({ label, tracks, stale, limits }) {
+/** The canvas; `track` gives the curve, `stale` where it was too old. */
+function Canvas({ label, track, stale, limits }) {
   const frame = useRef(null);
   useEffect(() => {
     let plot, stop;
-    const draw = () => (theme.value, shown.value, revision.value, span.value, plot.setData(columns(tracks())));
+    const draw = () => (theme.value, revision.value, span.value, plot.setData(columns(track())));
     const make = () => {
-      plot = new uPlot(options(frame.current.clientWidth, limits, stale, runs.value.length), null, frame.current);
+      plot = new uPlot(options(frame.current.clientWidth, limits, stale), null, frame.current);
       stop = effect(() => void draw());
     };
     const near = new IntersectionObserver(([{ isIntersecting }]) => isIntersecting && !plot && make(), { rootMargin: FAR });
@@ -129,11 +121,11 @@ function Read({ of, track }) {
   return <small class="reads">{figure(run.value.of(track, of).at(hovered.value))} at {clock(hovered.value)}</small>;
 }
 
-export function AttributePlot({ of, element: { name, unit, max_age, thresholds, ...element } }) {
+export function AttributePlot({ of, element: { name, unit, max_age, thresholds } }) {
   const limits = thresholds.map((one) => run.value.element(one)?.value).filter(Number.isFinite);
   const words = withUnit(figure(useAt("value", of), limits), unit);
   const isStale = useAt("stale", of);
-  const tracks = () => runs.value.map((one) => one.of("value", one.find({ name, ...element })));
+  const track = () => run.value.of("value", of);
   const stale = () => run.peek().of("stale", of).spans(end.peek());
   return (
     <div class={`measured ${stepsOf("elements", of).length ? "in-chain" : ""}`}>
@@ -143,18 +135,18 @@ export function AttributePlot({ of, element: { name, unit, max_age, thresholds, 
         <Read of={of} track="value" />
       </p>
       <ul>{grouped(thresholds).map((one) => <Threshold key={one.id} {...one} />)}</ul>
-      <Canvas label={`${name} over time, ${words} now`} tracks={tracks} stale={stale} limits={limits} />
+      <Canvas label={`${name} over time, ${words} now`} track={track} stale={stale} limits={limits} />
     </div>
   );
 }
 
 export function SignalPlot({ name }) {
   const value = figure(useAt("signal", name));
-  const tracks = () => runs.value.map((one) => one.of("signal", name));
+  const track = () => run.value.of("signal", name);
   return (
     <div class="measured">
       <p><span class="name">{name}</span> <b>{value}</b> <Read of={name} track="signal" /></p>
-      <Canvas label={`${name} over time, ${value} now`} tracks={tracks} stale={() => []} limits={[]} />
+      <Canvas label={`${name} over time, ${value} now`} track={track} stale={() => []} limits={[]} />
     </div>
   );
 }

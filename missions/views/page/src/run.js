@@ -71,9 +71,4 @@ export class Run {
   name(index) {
     return this.element(index)?.name ?? String(index);
   }
-
-  /** The index of the element of that kind and name, for what is compared with another run. */
-  find({ kind, name }) {
-    return this.last("element").find(([, one]) => one.kind === kind && one.name === name)?.[0];
-  }
 }

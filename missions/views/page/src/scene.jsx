@@ -1,7 +1,7 @@
 // The scene from above: what the place shows, the way of the robot with what it did where, and where it is at the instant shown.
 import { useComputed } from "@preact/signals";
 import { useMemo } from "preact/hooks";
-import { adaptations, choose, chosen, end, revision, run, runs, shown, time, useAt } from "./state.js";
+import { adaptations, choose, chosen, end, revision, run, time, useAt } from "./state.js";
 import { countUntil } from "./track.js";
 import { clock, extent, figure } from "./format.js";
 import { Panel, stepsBy, useSize } from "./parts.jsx";
@@ -11,10 +11,9 @@ const HUES = 6;
 const BARS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 5000]; // [m]
 const LETTER = 6.4; // width of a letter, about [px]
 export const hueOf = (names, name) => `var(--hue-${Math.max(0, names.indexOf(name)) % HUES})`;
-const done = (one) => one.last("action").map(([, { action }]) => one.name(action));
 
-/** The names of the actions that were done in any run, in the order of the first time. */
-export const actionNames = (all) => [...new Set(all.flatMap(done))];
+/** The names of the actions that were done, in the order of the first time. */
+export const actionNames = () => [...new Set(run.value.last("action").map(([, { action }]) => run.value.name(action)))];
 const isPlace = (pose) => Number.isFinite(pose?.[0]) && Number.isFinite(pose?.[1]);
 
 /** Metres to pixels, y up, with the same scale in both directions. */
@@ -73,10 +72,9 @@ function placeAt(one, place, t) {
   return isPlace(pose) ? place(pose) : null;
 }
 
-function Robot({ one, place, other }) {
-  const spot = placeAt(one, place, time.value);
-  const look = `robot ${other ? "other" : ""}`;
-  return spot && <g class={look} transform={`translate(${spot})`}><circle r="7" /><circle r="2" class="core" /></g>;
+function Robot({ place }) {
+  const spot = placeAt(run.value, place, time.value);
+  return spot && <g class="robot" transform={`translate(${spot})`}><circle r="7" /><circle r="2" class="core" /></g>;
 }
 
 function Thing({ name, shape, spots }) {
@@ -108,30 +106,26 @@ function Decided({ place }) {
 function Above({ size }) {
   const things = useAt("scene", 0) ?? run.value.of("scene").last ?? [];
   const known = revision.value;
-  const names = actionNames(runs.value);
+  const names = actionNames();
   const drawn = useMemo(() => {
-    const ways = runs.value.flatMap((one) => one.of("pose").values.filter(isPlace));
-    const points = [...ways, ...things.flatMap((thing) => thing.points)];
+    const way = run.value.of("pose").values.filter(isPlace);
+    const points = [...way, ...things.flatMap((thing) => thing.points)];
     if (!points.length) return null;
     const { scale, place } = fitted(points, size);
     const bar = BARS.findLast((metres) => metres * scale < size[0] / 4) ?? BARS[0];
     const seen = things.map((thing) => ({ ...thing, spots: thing.points.map(place) }));
     const labels = placed(seen.map(({ name, spots }) => ({ text: name, at: spots[spots.length >> 1] })), size);
-    return { place, seen, labels, legs: runs.value.map((one) => legsOf(one, place)), bar, wide: bar * scale };
+    return { place, seen, labels, legs: legsOf(run.value, place), bar, wide: bar * scale };
   }, [size, things, known]);
   if (!drawn) return <p class="body muted">Where the robot is, is not known.</p>;
   const { place, seen, labels, legs, bar, wide } = drawn;
   return (
     <svg width={size[0]} height={size[1]} role="img" aria-label="the scene from above">
       {seen.map((thing) => <Thing key={thing.name} {...thing} />)}
-      {legs.map((list, side) => (
-        <g key={side} class={side === shown.value ? "" : "other"}>
-          {list.map((leg) => <Leg key={leg.times[0]} leg={leg} hue={hueOf(names, leg.name)} />)}
-        </g>
-      ))}
+      {legs.map((leg) => <Leg key={leg.times[0]} leg={leg} hue={hueOf(names, leg.name)} />)}
       {labels.map(({ text, x, y }) => <text key={text} x={x} y={y} class="label">{text}</text>)}
       <Decided place={place} />
-      {runs.value.map((one, side) => <Robot key={side} one={one} place={place} other={side !== shown.value} />)}
+      <Robot place={place} />
       <Steps place={place} />
       <text class="label" x={size[0] - 6} y={size[1] - 6} text-anchor="end">east x [m] →</text>
       <text class="label" x={6} y={14}>↑ north y [m]</text>
@@ -154,7 +148,7 @@ function Steps({ place }) {
 
 export function Scene() {
   const [frame, size] = useSize();
-  const names = actionNames(runs.value);
+  const names = actionNames();
   const pose = useAt("pose", 0);
   return (
     <Panel id="scene" title="Scene" aside={isPlace(pose) && <small>{pose.map((one) => (one ?? 0).toFixed(1)).join(", ")} m</small>}>

@@ -1,18 +1,15 @@
-// What the page shows, as signals: the runs, the instant, and what is chosen. Every view is a function of these.
+// What the page shows, as signals: the run, the instant, and what is chosen. Every view is a function of these.
 import { batch, computed, signal, useComputed } from "@preact/signals";
 import { countUntil } from "./track.js";
 
-export const runs = signal([]);
-export const shown = signal(0); // which run, where there are two
-export const revision = signal(0); // counts what was added to the runs
+export const run = signal(null);
+export const revision = signal(0); // counts what was added to the run
 export const time = signal(0); // the instant shown [s]
 export const isFollowing = signal(false); // whether the instant is that of a mission that still runs
 export const chosen = signal(null); // key of the adaptation
 export const selected = signal(null); // index of the element
-export const isPrinting = signal(false);
-export const run = computed(() => runs.value[shown.value]);
-export const start = computed(() => (revision.value, Math.min(...runs.value.map((one) => one.start))));
-export const end = computed(() => (revision.value, Math.max(...runs.value.map((one) => one.end), start.value + 0.001)));
+export const start = computed(() => (revision.value, run.value?.start ?? 0));
+export const end = computed(() => (revision.value, Math.max(run.value?.end ?? 0, start.value + 0.001)));
 
 /** How far along the axis of time t is: as a part of it, and as a style says it. */
 export const part = (t) => (t - start.value) / (end.value - start.value);

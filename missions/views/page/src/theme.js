@@ -1,13 +1,12 @@
-// Light or dark: as the system has it, until the reader says otherwise; paper is light. Canvases ask here for their colours.
+// Light or dark: as the system has it, until the reader says otherwise. Canvases ask here for their colours.
 import { computed, effect, signal } from "@preact/signals";
-import { isPrinting } from "./state.js";
 
 const dark = matchMedia("(prefers-color-scheme: dark)");
 const system = signal(dark.matches ? "dark" : "light");
 const wanted = signal(null);
 dark.addEventListener("change", () => (system.value = dark.matches ? "dark" : "light"));
 
-export const theme = computed(() => (isPrinting.value ? "light" : (wanted.value ?? system.value)));
+export const theme = computed(() => wanted.value ?? system.value);
 
 export const toggleTheme = () => (wanted.value = theme.value === "dark" ? "light" : "dark");
 
@@ -29,5 +28,3 @@ export function colour(name) {
   return colours.get(name);
 }
 
-addEventListener("beforeprint", () => (isPrinting.value = true));
-addEventListener("afterprint", () => (isPrinting.value = false));

@@ -5,7 +5,7 @@ import { clock, withUnit } from "./format.js";
 import { Panel, reveal, stepsBy } from "./parts.jsx";
 import { AttributePlot, hovered, SignalPlot } from "./plots.jsx";
 import { actionNames, hueOf } from "./scene.jsx";
-import { chosen, elements, part, place, revision, run, runs, seek, span, time, zoomed } from "./state.js";
+import { chosen, elements, part, place, revision, run, seek, span, time, zoomed } from "./state.js";
 
 const ROUND = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 36000]; // steps of the axis [s]
 const TICKS = 8; // of the axis, at most
@@ -16,8 +16,10 @@ const SAME = 0.05; // part of the axis on which the marks of a chain are one
 const bar = (one, from, until, text = "", words = "", hue = undefined) =>
   ({ from: Math.max(from, one.start), until: until ?? one.end, text, words, hue });
 
-/** The bars of one run as [title, bars], what they are about in the order in which it is drawn. */
-function barsOf(one, names) {
+/** The lanes with anything in them as [title, bars], in the order in which they are drawn. */
+function lanes() {
+  const one = run.value;
+  const names = actionNames();
   const last = (track) => one.last(track).map(([, value]) => value);
   const known = one.last("element").map(([key]) => [key, one.element(key)]);
   const held = (track, key, text) =>
@@ -28,7 +30,7 @@ function barsOf(one, names) {
     bar(one, from, until, one.name(action), result ?? "", hueOf(names, one.name(action))));
   const isParallel = done.some(({ from }, index) => from < done[index - 1]?.until);
   const switched = known.filter(([key]) => one.of("active", key).times.length > 1);
-  return [
+  const all = [
     ["disturbances", last("disturbance").map(({ t, words }) => bar(one, t, t, "", words, "var(--bad)"))],
     ...(isParallel ? Object.entries(Object.groupBy(done, ({ text }) => `action ${text}`)) : [["actions", done]]),
     ...known.filter(([, { kind }]) => kind === "function" || kind === "component").map(chosenFor),
@@ -38,13 +40,7 @@ function barsOf(one, names) {
     ["planner calls", last("taskplan").map(({ asked, solved, outcome, engine, steps, message, reason }) =>
       bar(one, asked, asked, "", `${outcome} (${engine}): ${steps.join(", ") || message || reason}`, solved ? undefined : "var(--bad)"))],
   ];
-}
-
-/** The lanes with anything in them as [title, the bars of each run]. */
-function lanes() {
-  const all = runs.value.map((one) => new Map(barsOf(one, actionNames(runs.value))));
-  const titles = [...new Set(all.flatMap((one) => [...one.keys()]))];
-  return titles.map((title) => [title, all.map((one) => one.get(title) ?? [])]).filter(([, sides]) => sides.some(({ length }) => length));
+  return all.filter(([, bars]) => bars.length);
 }
 
 const between = (from, until) => ({ left: place(from), width: `calc(${place(until)} - ${place(from)})` });
@@ -56,21 +52,17 @@ const Bar = ({ from, until, text, words, hue }) => (
   </li>
 );
 
-const Lane = ({ title, sides }) => (
+const Lane = ({ title, bars }) => (
   <div class="lane">
     <span class="name">{title}</span>
-    {sides.map((bars, side) => (
-      <ol key={side} aria-label={sides.length > 1 ? `${title}, run ${"AB"[side]}` : title}>
-        {bars.map((one, index) => <Bar key={index} {...one} />)}
-      </ol>
-    ))}
+    <ol aria-label={title}>{bars.map((one, index) => <Bar key={index} {...one} />)}</ol>
   </div>
 );
 
 /** The lanes are drawn anew when there is more to draw, not at each instant. */
 function Lanes() {
   const known = revision.value;
-  return useMemo(() => lanes().map(([title, sides]) => <Lane key={title} title={title} sides={sides} />), [known, runs.value, span.value]);
+  return useMemo(() => lanes().map(([title, bars]) => <Lane key={title} title={title} bars={bars} />), [known, run.value, span.value]);
 }
 
 /** The line of the instant, and those of the chosen chain, over all that has the axis. */
@@ -145,7 +137,7 @@ export function Timelines() {
   };
   const aside = (
     <>
-      <small>{runs.value.length > 1 ? "the other run dashed" : "click to go there, drag to zoom"}</small>
+      <small>click to go there, drag to zoom</small>
       {zoomed.value && <button onClick={() => (zoomed.value = null)}>All</button>}
       <button title="download what is shown" onClick={() => download(asText(attributes))}>CSV</button>
     </>

@@ -5,7 +5,7 @@ import { clock } from "./format.js";
 import { firstOfChain, isOpen, nodes, pick, query, ROW, rows, selectedNode, stateOf, toggle, toggleAll } from "./forest.js";
 import { Graph } from "./graph.jsx";
 import { Badges, Mark, Name, Panel, Search, Standing, useSize } from "./parts.jsx";
-import { at, chosen, isPrinting, run } from "./state.js";
+import { at, chosen, run } from "./state.js";
 
 const KINDS = { sequence: "→", selector: "?", parallel: "⇉", decorator: "◇", action: "■", condition: "○", plan: "≡" };
 const MORE = 5; // rows that are made beyond those in sight
@@ -64,8 +64,8 @@ function Outline() {
     pick(next);
     bring(next);
   };
-  const first = isPrinting.value ? 0 : Math.max(0, Math.floor(top.value / ROW) - MORE);
-  const last = isPrinting.value ? all.length : Math.ceil((top.value + size.value[1]) / ROW) + MORE;
+  const first = Math.max(0, Math.floor(top.value / ROW) - MORE);
+  const last = Math.ceil((top.value + size.value[1]) / ROW) + MORE;
   const active = all.slice(first, last).some(({ uid }) => uid === selectedNode.value) ? `node-${selectedNode.value}` : undefined;
   return (
     <div class="outline" role="tree" aria-label="nodes of the tree" tabIndex={0} aria-activedescendant={active} ref={list}

@@ -11,7 +11,6 @@ from typing import Any, Final
 
 from kb import explain as explanation
 from kb import views
-from kb.debounce import Debounced, voted_status
 from kb.elements import Constraint, Element, finite_number, listed, meant_by, shown
 from kb.exceptions import InvalidValue
 from kb.forecast import feasible_until, suppose_forecast
@@ -192,7 +191,7 @@ def _adaptable(state: State, kind: str) -> tuple[str, ...]:
     return tuple(node.name for node in in_order(state.adaptable) if node.kind == kind)
 
 
-def suppose(
+def situation(
     base: Readable,
     measured: Mapping[str, float | None] | None = None,
     /,
@@ -203,7 +202,7 @@ def suppose(
     at: float | None = None,
     **attributes: float | None,
 ) -> "Situation":
-    """Return a situation, "what if", that answers the same questions; the facts are neither changed nor copied.
+    """Return a situation, "what if": a copy in which some facts differ. It answers the same questions.
 
     Args:
         base: what the situation starts from; what is supposed here overrides what is known or supposed there.
@@ -221,42 +220,37 @@ def suppose(
             f"what is supposed to be measured is given as values by name, not as {measured!r}"
         )
     values = {**(measured or {}), **attributes}
-    listings = {"failed": failed, "recovered": recovered, "requested": requested}
-    for what, names in listings.items():
-        listings[what] = (
-            (names,) if isinstance(names, str) else listed(f"names supposed to be {what}", names)
-        )
+    failed = _names("failed", failed)
+    recovered = _names("recovered", recovered)
+    requested = _names("requested", requested)
     now = base.now
     then = now if at is None else finite_number(at)
     if then < now:
         raise InvalidValue(
             f"a situation is that of a time from now on, {now!r} s by the clock; not {at!r}"
         )
-    with base.reading() as state:
-        supposed = state.copy()
-        network = supposed.network
-        for name in listings["failed"]:
-            _suppose_failed(supposed, network.components[name], True)
-        for name in listings["recovered"]:
-            _suppose_failed(supposed, network.components[name], False)
-        for name in listings["requested"]:
-            action = network.actions[name]
-            supposed.touch([action])
-            supposed.requested.add(action)
+    with base.reading() as known:
+        state = known.copy()
+        network = state.network
+        for name in failed:
+            state.suppose("failed", network.components[name], True)
+        for name in recovered:
+            state.suppose("failed", network.components[name], False)
+        for name in requested:
+            state.suppose("requested", network.actions[name], True)
         for name, value in values.items():
-            attribute = network.attributes[name]
-            checked = None
+            node = network.attributes[name]
             if value is not None:
-                checked = number(f"{name} cannot be supposed to be", value, attribute)
-            _suppose_measured(supposed, attribute, checked)
+                value = number(f"{name} cannot be supposed to be", value, node)
+            state.suppose_measurement(node, value)
         if at is not None:
-            doing = base.forecast.doing(None).union(listings["requested"])
-            for name, attribute in network.attributes.items():
+            doing = base.forecast.doing(None).union(requested)
+            for name, node in network.attributes.items():
                 if name not in values:
-                    forecast = base.forecast.at(name, then, now, doing)
-                    suppose_forecast(supposed, attribute, forecast)
-        supposed.infer()
-    return Situation(supposed, then, base.forecast)
+                    course = base.forecast.course(name, now, doing)
+                    suppose_forecast(state, node, course(then))
+        state.infer()
+    return Situation(state, then, base.forecast)
 
 
 class Situation:
@@ -270,7 +264,6 @@ class Situation:
         self._state = state
         self._now = now
         self.forecast = forecast
-        self._revision = state.network.revision
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Situation, (self._state, self._now, None)
@@ -292,7 +285,7 @@ class Situation:
     explain = explain
     why = why
     explain_choice = explain_choice
-    situation = suppose
+    situation = situation
     feasible_until = feasible_until
 
     @property
@@ -302,44 +295,15 @@ class Situation:
 
     def reading(self) -> AbstractContextManager[State]:
         """Give the facts and statuses, to be read only, of the model as it is now."""
-        revision = self._state.network.revision
-        self._state.follow_model(self._revision)
-        self._revision = revision
+        self._state.follow_model()
         return nullcontext(self._state)
 
     def __repr__(self) -> str:
         return f"<Situation of {self._state.network.model.name!r}: {outline(self._state)}>"
 
 
-def _suppose_failed(state: State, component: Node, is_failed: bool) -> None:
-    state.touch([component])
-    if is_failed:
-        state.failed.add(component)
-        return
-    state.failed.discard(component)
-    if state.asserted.get(component) is Status.FAILURE:
-        del state.asserted[component]
-
-
-def _suppose_measured(state: State, attribute: Node, value: float | None) -> None:
-    """Enter a value without a time of measurement; None is "not measured"."""
-    state.touch([attribute])
-    state.time.pop(attribute, None)
-    state.stale.discard(attribute)
-    if state.reason("forecast", attribute).text:
-        state.give_reason("forecast", attribute)
-        for constraint in attribute.constraints:
-            state.release(constraint)
-    if value is None:
-        state.value.pop(attribute, None)
-    else:
-        state.value[attribute] = value
-    for constraint in state.network.thresholds(attribute).debounced:
-        before = state.verdict(constraint) or Status.NOT_EVALUATED
-        status = Status.NOT_EVALUATED
-        if value is not None:  # as once it has been measured for long enough
-            status = voted_status(constraint.constraint, [value], 1, before) or before
-        state.debounced[constraint] = Debounced(status)
+def _names(what: str, names: Iterable[str]) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else listed(f"names supposed to be {what}", names)
 
 
 def number(refusal: str, value: object, attribute: Node) -> float:
