@@ -18,7 +18,7 @@ from py_trees.composites import Parallel
 
 from kb import Event, KnowledgeBase, UnknownName
 from kb import Status as ElementStatus
-from rosa_bt.exceptions import report, root_of
+from rosa_bt.exceptions import report
 
 _log = logging.getLogger(__name__)
 _RESULTS: Final = {
@@ -26,8 +26,6 @@ _RESULTS: Final = {
     Status.FAILURE: "failed",
     Status.INVALID: "abandoned",
 }
-PREVIOUS_RUN: Final = object()
-"""In place of a mission: the key of progress that an earlier program left in the store."""
 
 
 class Requester(Behaviour):
@@ -65,16 +63,16 @@ class Requests:
     halting: dict["ActionRequest", str] = field(default_factory=dict)
     """The requests of interrupted actions that need time to stop, with why they were
     interrupted."""
-    progress: dict[tuple[object, str, str], object] = field(default_factory=dict)
-    """What was saved, by mission (or `PREVIOUS_RUN`), action and name of the behaviour."""
+    progress: dict[tuple[str, str], object] = field(default_factory=dict)
+    """What was saved, by action and name of the behaviour."""
+    earlier: set[tuple[str, str]] = field(default_factory=set)
+    """The keys of what an earlier program left in the store, and that is not restored yet."""
     reasons: dict[str, tuple[int, str]] = field(default_factory=dict)
     """Why an action has its status: the revision for which this holds, and the sentence."""
     advanced_at: float = -math.inf
 
 
 _requests: WeakKeyDictionary[KnowledgeBase, Requests] = WeakKeyDictionary()
-_missions: WeakKeyDictionary[Behaviour, object] = WeakKeyDictionary()
-"""The mission of each tree, by its root: what is saved in one is not restored in another."""
 
 
 def requests_of(kb: KnowledgeBase) -> Requests:
@@ -82,8 +80,9 @@ def requests_of(kb: KnowledgeBase) -> Requests:
     requests = _requests.get(kb)
     if requests is None:
         requests = _requests.setdefault(kb, Requests())
-        for (action, name), saved in kb.history.progress.items():
-            requests.progress[PREVIOUS_RUN, action, name] = json.loads(saved)
+        for key, saved in kb.history.progress.items():
+            requests.progress[key] = json.loads(saved)
+        requests.earlier.update(requests.progress)
         for action in kb.store.left if kb.store is not None else ():
             if action in kb.actions:
                 ended = "the program that requested it has ended"
@@ -91,21 +90,24 @@ def requests_of(kb: KnowledgeBase) -> Requests:
     return requests
 
 
-def begin_mission(root: Behaviour) -> None:
-    """Keep the progress that is saved in this tree apart from that of other trees."""
-    _missions.setdefault(root, object())
+def forget_progress(
+    kb: KnowledgeBase, name: str | None = None, *, keeps_earlier: bool = False
+) -> None:
+    """Drop the progress that interrupted actions saved: the next mission starts afresh.
 
-
-def mission_of(behaviour: Behaviour) -> object:
-    """Return the key of the mission that a behaviour belongs to; None without a runner."""
-    return _missions.get(root_of(behaviour))
-
-
-def forget_progress(kb: KnowledgeBase) -> None:
-    """Drop the progress that interrupted actions saved: the next mission starts afresh."""
-    requests_of(kb).progress.clear()
-    for action, name in kb.history.progress:
-        store_progress(kb, action, name, "")
+    Args:
+        kb: the knowledge base.
+        name: of the behaviour; without it, all is dropped.
+        keeps_earlier: keep what an earlier program left.
+    """
+    requests = requests_of(kb)
+    kept = requests.earlier if keeps_earlier else set()
+    for key in {*requests.progress, *kb.history.progress} - kept:
+        if name in (None, key[1]):
+            requests.progress.pop(key, None)
+            requests.earlier.discard(key)
+            if key in kb.history.progress:
+                store_progress(kb, *key, "")
 
 
 def store_progress(kb: KnowledgeBase, action: str, name: str, saved: str) -> None:
@@ -139,12 +141,10 @@ def advance_halting(kb: KnowledgeBase) -> None:
         request.advance_halting()
 
 
-def end_halting(kb: KnowledgeBase, root: Behaviour) -> None:
-    """Release what still halts in a tree, or was taken out of one, at once."""
+def end_halting(kb: KnowledgeBase) -> None:
+    """Release what still halts at once."""
     for request in tuple(requests_of(kb).halting):
-        root_of_owner = root_of(request.owner)
-        if root_of_owner is root or root_of_owner not in _missions:
-            request.end_halting(f"the tree was shut down while {request.owner.name} was halting")
+        request.end_halting(f"the tree was shut down while {request.owner.name} was halting")
 
 
 class ActionRequest:

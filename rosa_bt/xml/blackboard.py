@@ -108,7 +108,7 @@ class Blackboard(MutableMapping[str, Any]):
         self.parent: Final = parent
         self.root: Final[Blackboard] = self if parent is None else parent.root
         self.has_own_clock = False
-        self._clock = clock
+        self.read_clock = clock
         self.enums: Final[Mapping[str, int]] = enums or {}
         self._remapping: dict[str, str] = {}
         self._autoremap = autoremap
@@ -126,12 +126,12 @@ class Blackboard(MutableMapping[str, Any]):
 
     def clock(self) -> float:
         """Return the time by the clock of the whole tree [s]."""
-        return self.root._clock()
+        return self.root.read_clock()
 
     def follow(self, clock: Clock) -> None:
         """Take another clock, unless the tree was given one of its own."""
         if not self.has_own_clock:
-            self._clock = clock
+            self.read_clock = clock
 
     def place(self, key: str) -> tuple[dict[str, Entry], str]:
         """Return where a key is kept: the entries of a blackboard, and the name of the key in it."""

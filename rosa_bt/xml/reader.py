@@ -12,12 +12,10 @@ from py_trees.behaviour import Behaviour
 from rosa_bt.decorators import Clock, ClockFollower
 from rosa_bt.exceptions import RosaBtError, XmlError, hint, in_words
 from rosa_bt.xml.blackboard import Blackboard, Ports
-from rosa_bt.xml.document import MODELS, Document
-from rosa_bt.xml.elements import EXPLICIT, MAX_DEPTH, Element
+from rosa_bt.xml.document import EXPLICIT, MARKS, MAX_DEPTH, MODELS, Document, Element
 from rosa_bt.xml.nodes import MAX_NODES, NODES, RULES, Branch, Rules, Slot, is_plain
 from rosa_bt.xml.registry import BehaviourRegistry, Entry
 from rosa_bt.xml.values import BOOLS
-from rosa_bt.xml.version_3 import MARKS
 
 _QUOTED: Final = re.compile(r"""'[^']*'|"[^"]*\"""")
 _OF_EDITORS: Final = ("_autoremap", "_collapsed", "_description", "_fullpath", "_uid")

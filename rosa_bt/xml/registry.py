@@ -13,7 +13,6 @@ from rosa_bt.behaviours import ActionBehaviour, HasStatus, IsActionFeasible, Mea
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction, Retry, UntilSuccess
 from rosa_bt.exceptions import RegistryError
-from rosa_bt.xml import nav2
 from rosa_bt.xml.blackboard import Blackboard, Declared, PortError, Ports, key_of, ports_of
 from rosa_bt.xml.nodes import MAX_NODES, NODES, Branch
 
@@ -22,7 +21,19 @@ F = TypeVar("F", bound=Factory)
 Kind = Literal["action", "condition"]
 
 _FORMS: Final = ("Action", "BehaviorTree", "Condition", "Control", "Decorator", "SubTree", "root")
-_OF_NAV2: Final = {tag for tag, kind in NODES.items() if kind.__module__ == nav2.__name__}
+_OF_NAV2: Final = frozenset(
+    [
+        "GoalUpdatedController",
+        "NonblockingSequence",
+        "PauseResumeController",
+        "PersistentSequence",
+        "PipelineSequence",
+        "RateController",
+        "RecoveryNode",
+        "RoundRobin",
+        "SingleTrigger",
+    ]
+)
 BUILT_IN: Final = frozenset({*NODES, *_FORMS}) - _OF_NAV2
 """Names that cannot be registered; those of Nav2 can, since its releases differ."""
 _ROLES: Final = frozenset({"name", "child", "children", "blackboard", "behaviour_class_name"})

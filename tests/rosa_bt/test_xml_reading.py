@@ -7,7 +7,7 @@ import pytest
 from xml_leaves import registry_of, wrapped
 
 from rosa_bt import RosaBtError, XmlError, load_xml
-from rosa_bt.xml.elements import MAX_DEPTH, MAX_SIZE
+from rosa_bt.xml.document import MAX_DEPTH, MAX_SIZE
 from rosa_bt.xml.nodes import MAX_NODES
 
 LEAVES = {"a": ("A", "S"), "b": ("A", "RS"), "ok": ("C", "S")}
