@@ -338,7 +338,7 @@ class RosaAction(ActionBehaviour, Requester):
         self.exclusive = exclusive
         self.halting_timeout = halting_timeout
         self._preference = preference
-        self._request = ActionRequest(self, kb, timeout if wait else None)
+        self._request = ActionRequest(self, kb)
         self._has_begun = False
         self._saved_s = -math.inf
 

@@ -67,7 +67,7 @@ class ForAction(GuardedBehaviour, Requester, Decorator):
         self.wait = wait
         self.timeout = timeout
         self.exclusive = exclusive
-        self._request = ActionRequest(self, kb, timeout if wait else None)
+        self._request = ActionRequest(self, kb)
 
     def advance(self) -> Generator[Behaviour, None, Status]:
         new_status = self._request.admit()

@@ -185,7 +185,7 @@ def _safe_switch(
     if len(steps) != len(after):
         raise RegistryError("it takes a child for each action in `after`, and the task")
     transitions = dict(zip(after, steps, strict=True))
-    return SafeSwitch(name, task, transitions, blackboard, action, "@last_action")
+    return SafeSwitch(name, task, transitions, blackboard.root, action)
 
 
 _ALWAYS: Final[Mapping[str, Factory]] = {"Retry": Retry, "UntilSuccess": UntilSuccess}
