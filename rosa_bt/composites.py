@@ -236,7 +236,7 @@ def _is_guarded(action: RosaAction) -> bool:
 
 
 def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behaviour]) -> Behaviour:
-    """Add transitions to a tree: behaviours that run between two actions, however the tree gets there.
+    """Add behaviours to a tree that run between two actions, however the tree gets there.
 
     Args:
         root: of a tree that is not running; its actions (`RosaAction`, `ForAction`) are wrapped.

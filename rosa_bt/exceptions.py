@@ -1,4 +1,4 @@
-"""The errors of this package, how messages are made, and how an exception of a behaviour is reported."""
+"""The errors of this package, and how an exception of a behaviour is reported."""
 
 import logging
 from collections.abc import Callable, Iterable

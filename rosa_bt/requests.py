@@ -1,4 +1,4 @@
-"""Who has requested which action, what still halts, and the progress that interrupted actions saved.
+"""Who has requested which action, what still halts, and what interrupted actions saved.
 
 All of this belongs to a knowledge base and not to behaviours, because behaviours come and go: a
     tree
@@ -173,7 +173,7 @@ class ActionRequest:
         return self in requests_of(self._kb).halting
 
     def admit(self) -> Status:
-        """Return SUCCESS if the owner may work, RUNNING while it waits, FAILURE if it must not work.
+        """Return SUCCESS if the owner may work, RUNNING while it waits, else FAILURE.
 
         The reason becomes the owner's feedback. If the action became unfeasible, the owner is
         stopped.
