@@ -3,7 +3,7 @@
 from fractions import Fraction
 from itertools import product
 
-from kb.planning import apply_selection, by_priority, decide
+from kb.planning import by_priority
 from kb.status import Status
 
 
@@ -32,7 +32,7 @@ def every_choice(state):
     for ranks in product(*(range(len(ranked(state, node))) for node in free)):
         designs = [ranked(state, node)[rank] for node, rank in zip(free, ranks, strict=True)]
         needed = [part for design in (*designs, *kept) for part in design.requires]
-        given_up = decide(state, designs).deactivate
+        given_up = state.decide(designs).deactivate
         running = [part for part in served if part in state.asserted_required & state.active]
         needed += [part for part in running if part.name not in given_up]
         components = [
@@ -48,8 +48,8 @@ def every_choice(state):
 def outcome(state, designs, configurations, weights, cost=0.0):
     """Return what a choice is worth once it is carried out; the cost of switching is one for all."""
     after = state.copy()
-    selection = decide(after, [*designs, *configurations])
-    apply_selection(after, selection)
+    selection = after.decide([*designs, *configurations])
+    after.select(selection.flips)
     network = state.network
     for names, active in ((selection.activate, True), (selection.deactivate, False)):
         for name in names:

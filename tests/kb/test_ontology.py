@@ -221,7 +221,7 @@ def test_model_that_changes_is_the_one_that_is_asked():
 
 
 def test_what_goes_on_is_told_though_its_events_are_forgotten(monkeypatch):
-    monkeypatch.setattr("kb.events._MOST", 100)
+    monkeypatch.setattr("kb.records._MOST_EVENTS", 100)
     clock = Clock(1.0)
     kb = KnowledgeBase(robot(), clock=clock)
     kb.measure("light", 0.9)

@@ -3,7 +3,6 @@
 import pytest
 
 from kb import KnowledgeBase, Model, OptimalPlanner, PriorityPlanner
-from kb.planning import decide
 
 PLANNERS = [PriorityPlanner(), OptimalPlanner()]
 
@@ -47,9 +46,9 @@ def test_decision_changes_nothing_and_names_all_that_follows():
     before = kb.log.last
     with kb.reading() as state:
         chosen = [state.network.designs["by lidar"]]
-        selection = decide(state, chosen)
+        selection = state.decide(chosen)
         assert [node.name for node in selection.flips] == ["by camera", "by lidar"]
-        assert decide(state, chosen) == selection
+        assert state.decide(chosen) == selection
     assert (selection.activate, selection.deactivate) == (("lidar",), ("camera",))
     assert kb.log.last == before
     assert kb.designs["by camera"].is_selected
