@@ -3,7 +3,7 @@
 from kb.checks import Finding, Severity
 from kb.diagnostics import DiagnosticProblem, DiagnosticRule, DiagnosticRules
 from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression, StalePolicy
-from kb.events import Event, EventKind, Log, StatusChange
+from kb.events import Event, EventKind, StatusChange
 from kb.exceptions import (
     AmbiguousName,
     DuplicateName,
@@ -26,6 +26,7 @@ from kb.planning import Choice, Obsolete, PriorityPlanner
 from kb.processes import ProcessComponents, Program
 from kb.records import (
     Attempt,
+    Log,
     Process,
     ReconfigurationPlan,
     Reply,

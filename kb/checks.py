@@ -1,4 +1,4 @@
-"""Checks of a model: unknown and unused names, what can never be feasible, and what is never selected."""
+"""Checks of a model: names, what can never be feasible, and what is never selected."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One check: the severity of its findings, what they mean in general, and what to do about them."""
+    """One check: the severity of its findings, what they mean, and what to do about them."""
 
     severity: Severity
     meaning: str
@@ -44,7 +44,8 @@ class Finding:
     Attributes:
         code: the word for the rule, one of `rules()`.
         severity: how bad it is.
-        element: kind and name, e.g. "function see"; for something that is not in the model, the given name.
+        element: kind and name, e.g. "function see"; for something that is not in the model, the
+            given name.
         message: what was found, and where.
         advice: what to do about it.
         place: where the element stands, as file:line:column; empty if it comes from no file.
@@ -94,7 +95,7 @@ def listing(names: Iterable[str], most: int = 4) -> str:
     return " and ".join([", ".join(known[:-1]), known[-1]] if len(known) > 1 else known)
 
 
-# -------------------------------------------------------------------- what is looked for
+# ---------------------------------------------------------------- what is looked for
 
 
 def check_model(model: Contents, names: Iterable[str] | None = None) -> tuple[Finding, ...]:
@@ -197,7 +198,7 @@ def _restored_twice(network: Network) -> Iterator[Finding]:
             yield found("restored-twice", what, message)
 
 
-# -------------------------------------------------------------------- what no measurement makes possible
+# ---------------------------------------------------------------- what is never possible
 
 
 def _contradictions(network: Network) -> Iterator[Finding]:
@@ -272,7 +273,7 @@ def _conflict(node: Node, requirements: Requirements) -> str:
     return f"{listing(needs, 8)} cannot be met together, whatever is measured"
 
 
-# -------------------------------------------------------------------- what is chosen, and what never is
+# ---------------------------------------------------------------- what is never chosen
 
 
 def _doubtful_choices(model: Contents, network: Network) -> Iterator[Finding]:

@@ -60,7 +60,7 @@ def table(caption: str, head: Iterable[str], rows: Iterable[Iterable[object]]) -
 
 
 class Rate(NamedTuple):
-    """How fast an attribute changes [its unit / s] while an action is done, always if that is empty; see `changes`."""
+    """How fast an attribute changes [its unit / s], always or while an action is done."""
 
     per_s: float
     while_: str = ""
@@ -75,7 +75,8 @@ class Field(NamedTuple):
     """How a field of an element is checked; it stands in the annotation of the field.
 
     Attributes:
-        check: takes the field's name, the element's name and what is given; returns it as it is kept.
+        check: takes the field's name, the element's name and what is given; returns it as it is
+            kept.
         can_change: `Model.change` may change it.
     """
 
@@ -158,7 +159,10 @@ def rates(field: str, name: str, value: object) -> tuple[Rate, ...]:
 
 
 def whole(what: str, value: object, least: int = 1) -> int:
-    """Return a whole number that is at least `least` and fits into 64 bits; any other value is refused."""
+    """Return a whole number that is at least `least` and fits into 64 bits.
+
+    Any other value is refused.
+    """
     if type(value) is int and least <= value < 2**63:
         return value
     raise InvalidValue(f"{what} is a whole number from {least}, not {shown(value)}")
@@ -326,7 +330,10 @@ class Owner(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """A comparison of an attribute with a number, e.g. `light >= 0.5`; becomes a constraint of what is given it."""
+    """A comparison of an attribute with a number, e.g. `light >= 0.5`.
+
+    Becomes a constraint of what is given it.
+    """
 
     attribute: str
     operator: str
@@ -348,10 +355,11 @@ class Expression:
                 )
 
     def steady(self, *, hysteresis: float = 0.0, dwell: float = 0.0) -> "Expression":
-        """Return the same comparison for a constraint that a value about its threshold does not make flap.
+        """Return the same comparison for a constraint that does not flap about its threshold.
 
         Args:
-            hysteresis: once violated, it is satisfied again only this far beyond its threshold [the attribute's unit].
+            hysteresis: once violated, it is satisfied again only this far beyond its threshold [the
+                attribute's unit].
             dwell: once satisfied or violated, it stays so for at least this long [s].
         """
         return replace(self, hysteresis=hysteresis, dwell=dwell)
@@ -368,7 +376,10 @@ class Expression:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Constraint:
-    """An expression; while it is violated, the constrained elements are unfeasible. See `Expression.steady`."""
+    """An expression; while it is violated, the constrained elements are unfeasible.
+
+    See `Expression.steady`.
+    """
 
     attribute: str
     operator: str
@@ -383,7 +394,7 @@ class Constraint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimation:
-    """What choosing the causer (a design, a component or a configuration) is expected to do to an attribute."""
+    """What choosing a design, component or configuration is expected to do to an attribute."""
 
     attribute: str
     value: Annotated[float, _NUMBER]
@@ -441,8 +452,10 @@ class Attribute(Element):
     Attributes:
         kind: what it describes.
         max_age: how long a measurement holds [s]; for ever by default.
-        when_stale: what its constraints are once the latest measurement is older: "not evaluated" or "violated".
-        agreement: n of the last k measurements have to say so before a constraint on it changes, as (n, k).
+        when_stale: what its constraints are once the latest measurement is older: "not evaluated"
+            or "violated".
+        agreement: n of the last k measurements have to say so before a constraint on it changes, as
+            (n, k).
         unit: of its values, as it is shown, e.g. "V"; may be empty.
         low, high: no value lies outside; a measurement that does is refused. Infinite by default.
         forecasting: how it is forecast; see `forecast`. Empty if only by its rates, or not at all.
@@ -476,10 +489,11 @@ class Attribute(Element):
     def changes(
         self, rate: float, *, per: str = "s", while_: "Action | str" = "", learns: bool = False
     ) -> None:
-        """State how fast this attribute changes [its unit per "s", "min" or "h"], always or while an action is done.
+        """State how fast this attribute changes [its unit per "s", "min" or "h"].
 
-        There is one rate for each action; rates that apply at the same time add up. A rate that learns is replaced by
-        the rate that is measured while its action alone is done.
+        It holds always, or while an action is done. There is one rate for each action; rates that
+        apply at the same time add up. A rate that learns is replaced by the rate that is measured
+        while its action alone is done.
         """
         if per not in _PER:
             raise UnknownName("time in which an attribute changes", per, _PER)
@@ -491,7 +505,10 @@ class Attribute(Element):
         )
 
     def checked(self, value: object) -> float:
-        """Return a value of this attribute as a float; what is no finite number, or out of range, is refused."""
+        """Return a value of this attribute as a float.
+
+        What is no finite number, or out of range, is refused.
+        """
         number = finite_number(value)
         if self.low <= number <= self.high:
             return number
@@ -558,7 +575,10 @@ class Component(_Estimable):
         priority: float | None = None,
         constraints: Iterable[Expression] = (),
     ) -> Configuration:
-        """Declare one way to set this component's parameters; the lowest priority number is tried first."""
+        """Declare one way to set this component's parameters.
+
+        The lowest priority number is tried first.
+        """
         given = {"component": self, "parameters": parameters or {}, "priority": priority}
         return self.model.declare(Configuration, name, constraints, **given)
 
@@ -586,7 +606,10 @@ class Function(Element):
         priority: float | None = None,
         constraints: Iterable[Expression] = (),
     ) -> FunctionDesign:
-        """Declare one set of components that realises this function; the lowest priority number is tried first."""
+        """Declare one set of components that realises this function.
+
+        The lowest priority number is tried first.
+        """
         given = {"function": self, "components": components, "priority": priority}
         return self.model.declare(FunctionDesign, name, constraints, **given)
 
@@ -633,7 +656,8 @@ REFERENCES: Final[Mapping[str, type[Element]]] = {
     "deactivate": Component,
     "parameters": Configuration,
 }
-"""The fields of elements, facts and records that name others, and of which class; parameters are those of a plan."""
+"""The fields of elements, facts and records that name others, and of which class; parameters are
+those of a plan."""
 
 
 CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {
@@ -648,7 +672,10 @@ CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {
 
 
 class ByName(dict[Any, T]):
-    """The elements of one kind by name, in order of declaration; the error for an unknown name lists similar ones."""
+    """The elements of one kind by name, in order of declaration.
+
+    The error for an unknown name lists similar ones.
+    """
 
     def __init__(self, kind: str, table: Mapping[str, T] | None = None) -> None:
         super().__init__(table or {})
@@ -666,7 +693,7 @@ def called(element: Changeable) -> str:
 
 
 def meant_by(name: object, tables: Mapping[str, Mapping[str, T]], what: str, advice: str = "") -> T:
-    """Return what a bare name stands for in the tables of some kinds: with an advice the only one, else the first.
+    """Return what a name stands for in the tables of some kinds: the only one, or the first.
 
     Raises:
         AmbiguousName: several kinds have such a name, and an advice what to do then is given.

@@ -1,17 +1,13 @@
 """Events: everything that becomes known, as data that can be replayed; their log, and its subscribers."""
 
 import logging
-import math
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Mapping
 from enum import StrEnum
-from itertools import islice
 from threading import Condition, Lock
 from typing import Any, Final, NamedTuple, Self
 
 from kb.exceptions import InvalidValue
-from kb.records import ReconfigurationPlan, plain
+from kb.records import Log, ReconfigurationPlan, plain
 from kb.status import Status
 
 
@@ -37,8 +33,6 @@ RECORDS: Final = frozenset(
     }
 )
 """The verbs of events that are only put on record; no status follows from them."""
-
-_MOST: Final = 100_000  # events that are held in memory
 
 _WORDS: Final[Mapping[str, str | tuple[str, str]]] = {
     "measure": "{0} is {1:g}",
@@ -185,57 +179,6 @@ class Event(NamedTuple):
         )
 
 
-class Log:
-    """The newest events of a knowledge base by number, as far as they are held in memory.
-
-    Attributes:
-        last: number of the last event; 0 before the first.
-        time: of the last event [s].
-        witnesses: functions that are called with each event by the thread that records it, while
-            the base is held.
-    """
-
-    def __init__(self, lock: AbstractContextManager[object], catch_up: Callable[[], None]) -> None:
-        self._lock = lock
-        self.catch_up = catch_up  # called before all are looked at: what was interrupted ends
-        self._events: deque[Event] = deque(maxlen=_MOST)
-        self.last = 0
-        self.time = -math.inf
-        self.witnesses: tuple[Callable[[Event], None], ...] = ()
-
-    @property
-    def begins(self) -> int:
-        """Number of the event from which on every one is held; 1 while none is forgotten."""
-        return self.last + 1 - len(self._events)
-
-    def append(self, event: Event) -> None:
-        """Add an event, unless one of its number is there already."""
-        if not self._events or self._events[-1].number < event.number:
-            self._events.append(event)
-        self.last = event.number
-        self.time = event.time
-
-    def resume(self, number: int) -> None:
-        """Go on after an event that is not held here."""
-        if number != self.last:
-            self._events.clear()
-            self.last = number
-
-    def since(self, number: int) -> Iterator[Event]:
-        """Yield the events after one, in order."""
-        with self._lock:
-            newest = list(islice(reversed(self._events), max(0, self.last - number)))
-        newest.reverse()
-        return iter(newest)
-
-    def __iter__(self) -> Iterator[Event]:
-        self.catch_up()
-        return self.since(0)
-
-    def __len__(self) -> int:
-        return len(self._events)
-
-
 class _Subscriber:
     """A callback, and the number of the last event that it was called with."""
 
@@ -275,7 +218,10 @@ class Publisher:
 
     def deliver(self) -> None:
         """Call the subscribers with new events, unless a thread does so already; then it goes on with these."""
-        while any(subscriber.last < self._log.last for subscriber in self.subscribers) and not self.is_held():
+        while (
+            any(subscriber.last < self._log.last for subscriber in self.subscribers)
+            and not self.is_held()
+        ):
             turn: list[bool] = []
             try:
                 turn.extend(map(self._turn.acquire, (False,)))  # taken and noted in one step

@@ -15,13 +15,11 @@ from kb.managed_system import (
     Operation,
     check_methods,
     look,
-    operation_of,
     words_of,
     wrong_answer,
 )
 from kb.network import Node
 from kb.records import Attempt, ReconfigurationPlan
-from kb.state import State
 from kb.status import Status
 
 _log = logging.getLogger(__name__)
@@ -83,6 +81,8 @@ class StagedExecutor:
         self._back_off = back_off
         self._hold = hold
         self._kb: KnowledgeBase | None = None
+        self._components: Mapping[str, Node] = {}
+        self._configurations: Mapping[str, Node] = {}
         self._in_failure: set[Node] = set()
         self._plan: ReconfigurationPlan | None = None
         self._stages: Iterator[list[_Command]] = iter(())
@@ -154,8 +154,8 @@ class StagedExecutor:
         """Advance a command and return whether it has ended; if so, record the result."""
         kb = command.kb
         configuration = command.configuration
-        is_removed = configuration is not None and configuration.name not in kb.configurations
-        if is_removed or command.component not in kb.components:
+        is_removed = configuration is not None and configuration.name not in self._configurations
+        if is_removed or command.component not in self._components:
             command.abandon("it is no longer in the model")
             return True
         result = command.advance(now)
@@ -185,7 +185,9 @@ class StagedExecutor:
     def _release_recovered(self, kb: KnowledgeBase) -> None:
         """Release the configurations in quarantine of components that are in failure no more."""
         with kb.reading() as state:
-            nodes = state.network.components.values()
+            self._components = state.network.components
+            self._configurations = state.network.configurations
+            nodes = self._components.values()
             in_failure = {node for node in nodes if state.status[node] is Status.FAILURE}
             released = [
                 part
@@ -214,13 +216,13 @@ class StagedExecutor:
         with kb.reading() as state:
             for older in plans[:-1]:
                 parameters += older.parameters
-                for node in _in_model(state, [*older.activate, *older.deactivate]):
+                for node in self._nodes([*older.activate, *older.deactivate]):
                     is_active = node in state.active
                     if state.is_required(node) != is_active:
                         (stop if is_active else start).append(node.name)
             running = []
             for name in parameters:
-                part = state.network.configurations.get(name)
+                part = self._configurations.get(name)
                 if part in state.selected and part.used_by[0] in state.active:
                     running.append(part.used_by[0])
         for node in running:
@@ -233,15 +235,18 @@ class StagedExecutor:
         if self._failed:
             yield self._rolled_back(kb, plan, started)
 
+    def _nodes(self, names: Iterable[str]) -> list[Node]:
+        """Return the components of these names, each once, that are still in the model."""
+        unique = dict.fromkeys(names)
+        return [self._components[name] for name in unique if name in self._components]
+
     def _switches(
         self, kb: KnowledgeBase, plan: ReconfigurationPlan, operation: str, names: Iterable[str]
     ) -> list["_Command"]:
         """Return commands to switch components; a failed one is only deactivated."""
-        with kb.reading() as state:
-            nodes = _in_model(state, names)
         return [
             self._command(kb, plan, operation, node)
-            for node in nodes
+            for node in self._nodes(names)
             if operation == "deactivate" or node.name not in self._failed
         ]
 
@@ -251,7 +256,7 @@ class StagedExecutor:
         """Return commands to set the selected parameters."""
         commands = []
         with kb.reading() as state:
-            for node in _in_model(state, names):
+            for node in self._nodes(names):
                 for part in node.requires:
                     if part in state.selected and node.name not in self._failed:
                         commands.append(self._command(kb, plan, "configure", node, part.element))
@@ -293,8 +298,8 @@ class StagedExecutor:
             if name in commanded & self._failed and look(self._managed, name)[0] is not False
         ]
         in_vain: dict[Node, None] = {}
+        nodes = self._nodes(started)
         with kb.reading() as state:
-            nodes = _in_model(state, started)
             for node in nodes:
                 for design in state.users(node):
                     if state.status[design.used_by[0]] is Status.UNFEASIBLE:
@@ -306,12 +311,6 @@ class StagedExecutor:
                 if node in state.active and not state.users(node):
                     idle.append(node.name)
         return self._switches(kb, plan, "deactivate", idle)
-
-
-def _in_model(state: State, names: Iterable[str]) -> list[Node]:
-    """Return the components of these names, each once, that are still in the model."""
-    components = state.network.components
-    return [components[name] for name in dict.fromkeys(names) if name in components]
 
 
 # -------------------------------------------------------------------- a command
@@ -400,7 +399,12 @@ class _Command:
                 is_start = self.operation == "activate"
                 answer = managed.activate(name) if is_start else managed.deactivate(name)
                 call = f"{self.operation}({name!r})"
-            self._operation = operation_of(answer, call, managed)
+            self._operation = operation = answer
+            if operation is not None and not all(
+                callable(getattr(operation, name, None)) for name in ("done", "exception")
+            ):
+                expected = "None if it is done, or an operation with done() and exception()"
+                raise wrong_answer(call, managed, operation, expected)
         except ProtocolError:
             raise
         except Exception as error:

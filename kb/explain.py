@@ -82,11 +82,7 @@ class Explanation:
         return self.sentence + self._help() + selected
 
     def _repr_html_(self) -> str:
-        words = escape(self.sentence)
-        if self.causes:
-            items = "".join(f"<li>{cause._repr_html_()}</li>" for cause in self.causes)
-            words = f"<details><summary>{words}</summary><ul>{items}</ul></details>"
-        return f"{words}<p>{escape(self._help()[2:])}</p>"
+        return f"{_unfolding(self)}<p>{escape(self._help()[2:])}</p>"
 
     def text(self, subject: str) -> str:
         """Return the sentence, with the given words for the element."""
@@ -119,6 +115,15 @@ class Explanation:
 
 
 Reasons = tuple[tuple[Explanation, ...], ...]
+
+
+def _unfolding(explanation: Explanation) -> str:
+    """Return a sentence in HTML that unfolds to its causes."""
+    words = escape(explanation.sentence)
+    if not explanation.causes:
+        return words
+    items = "".join(f"<li>{_unfolding(cause)}</li>" for cause in explanation.causes)
+    return f"<details><summary>{words}</summary><ul>{items}</ul></details>"
 
 
 def explain(state: State, node: Node, now: float) -> Explanation:

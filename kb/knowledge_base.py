@@ -15,6 +15,7 @@ from math import inf, isfinite
 from operator import attrgetter
 from pathlib import Path
 from threading import Lock, RLock
+from types import MappingProxyType
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 from weakref import WeakSet, finalize
 
@@ -36,7 +37,7 @@ from kb.elements import (
     whole,
 )
 from kb.elements import parameters as checked_parameters
-from kb.events import RECORDS, Event, Log, Publisher, StatusChange
+from kb.events import RECORDS, Event, Publisher, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
 from kb.explain import reading as reading_in_words
 from kb.explain import staleness, why, why_selected
@@ -44,10 +45,10 @@ from kb.forecast import Forecaster, feasible_until
 from kb.model import Model, Serials, amend, amendment
 from kb.network import Network, Node
 from kb.ontology import Answer, Ontology
-from kb.planning import by_owner, decide
 from kb.records import (
     Attempt,
     HistoryView,
+    Log,
     Process,
     ReconfigurationPlan,
     Records,
@@ -549,7 +550,8 @@ class KnowledgeBase:
         Raises:
             InvalidValue: a design or configuration is unfeasible now; nothing is selected.
         """
-        text("the reason of a choice", reason)
+        if reason != "":
+            text("the reason of a choice", reason)
         state = self._state
         designs_chosen = _chosen(self._network.designs, self._network.functions, designs)
         configured = _chosen(self._network.configurations, self._network.components, configurations)
@@ -558,25 +560,23 @@ class KnowledgeBase:
             if state.status[node] is Status.UNFEASIBLE:
                 raise Unselectable(f"{node} cannot be selected: {why(state, node, self._now)}")
         words = why_selected(state, nodes, self._now, reason, self._records.end_reasons.values())
-        selection = decide(state, nodes)
+        selection = state.decide(nodes)
         if dry_run:
-            return selection.plan(state, words, self._now) if selection else None
+            return selection.plan(words, self._now)
         if cause is None:
             cause = self._cause_of_choice(nodes)
-        plan = None
-        if selection:
-            number = next(reversed(self._records.plans), 0) + 1
-            plan = selection.plan(state, words, self._now, cause, number)
+        number = next(reversed(self._records.plans), 0) + 1
+        plan = selection.plan(words, self._now, cause, number)
         effects = tuple(
             (node.kind, node.name, node not in state.selected) for node in selection.flips
         )
         is_reason_new = any(
-            state.reason("selected", node).text != reason
-            or state.reason("unselected", node.used_by[0]).text
+            state.reasons.get(("selected", node), Reason()).text != reason
+            or ("unselected", node.used_by[0]) in state.reasons
             for node in nodes
         )
         if plan or effects or is_reason_new:
-            choice = by_owner(designs_chosen), by_owner(configured)
+            choice = [MappingProxyType(dict(each or {})) for each in (designs, configurations)]
             self._record("select", (*choice, reason), cause, effects=effects, plan=plan)
         return plan
 
@@ -652,7 +652,8 @@ class KnowledgeBase:
         "configure" command completes, its parameters are in force.
         """
         check_result(result)
-        text("the reason why an attempt ends", reason)
+        if reason != "":
+            text("the reason why an attempt ends", reason)
         serial = attempt.serial if isinstance(attempt, Attempt) else attempt
         if type(serial) is not int:
             raise InvalidValue(
@@ -779,18 +780,18 @@ class KnowledgeBase:
             self._renew()
         elif event.verb not in RECORDS:
             state.apply(event)
-        if event.verb != "measure":
-            self._records.apply(event)
-        if event.verb == "finish_attempt" and event.arguments[1] == "completed":
-            attempt = self._records.attempts[event.arguments[0]]
-            if attempt.operation == "configure":
-                state.parameters[attempt.component] = attempt.parameters
         if state.before:
             event = self._with_changes(event)
         if _matters(event):
             self._revision = event.number
         is_new = self.log.last < event.number
+        if event.verb != "measure":
+            self._records.apply(event)
         self.log.append(event)
+        if event.verb == "finish_attempt" and event.arguments[1] == "completed":
+            attempt = self._records.attempts[event.arguments[0]]
+            if attempt.operation == "configure":
+                state.parameters[attempt.component] = attempt.parameters
         state.before = {}
         self._event = None
         for witness in self.log.witnesses if is_new else ():
@@ -996,17 +997,26 @@ class KnowledgeBase:
 
     # ---------------------------------------------------------------- the store
 
-    def _snapshot(self) -> tuple[object, ...]:
-        """Return all that is known."""
-        causes = self._changed_by, self._feasibility
-        return self._state, self._records, *causes, self._revision
+    def _snapshot(self) -> dict[str, Any]:
+        """Return all that is known as values of which JSON is made."""
+        return {
+            "state": self._state.to_json(),
+            "records": self._records.to_json(),
+            "causes": [(node.ref, number) for node, number in self._changed_by.items()],
+            "feasibility": self._feasibility,
+            "revision": self._revision,
+        }
 
     def _restore(self, store: Store) -> None:
         """Begin with what a store holds: a snapshot, and the events after it."""
-        snapshot, events = store.restored(self._network)
+        snapshot, events = store.restored()
         if snapshot is not None:
-            self._state, self._records, self._changed_by = snapshot[:3]
-            self._feasibility, self._revision = snapshot[3:]
+            self._state.from_json(snapshot["state"])
+            self._records.from_json(snapshot["records"])
+            for ref, number in snapshot["causes"]:
+                self._changed_by[self._network.referred(ref)] = number
+            self._feasibility = snapshot["feasibility"]
+            self._revision = snapshot["revision"]
         for event in events:
             self.log.resume(event.number - 1)
             if event.verb == "begin":

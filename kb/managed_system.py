@@ -71,15 +71,6 @@ def words_of(error: BaseException) -> str:
     return str(error) or type(error).__name__
 
 
-def operation_of(answer: object, call: str, managed: ManagedSystem) -> Operation | None:
-    """Return the answer to a command if it is None or an operation; else raise `ProtocolError`."""
-    methods = (getattr(answer, "done", None), getattr(answer, "exception", None))
-    if answer is None or all(map(callable, methods)):
-        return answer  # type: ignore[return-value]  # checked by the condition
-    expected = "None if it is done, or an operation with done() and exception()"
-    raise wrong_answer(call, managed, answer, expected)
-
-
 def wrong_answer(call: str, given: object, answer: object, expected: str) -> ProtocolError:
     """Return the error for a value that a protocol does not allow."""
     if iscoroutine(answer):

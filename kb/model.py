@@ -8,7 +8,8 @@
     see.design("by camera", [camera], priority=1)
     model.action("explore", requires=[see], constraints=[light >= 0.05])
 
-A name is unique within its kind, not across kinds. Elements refer to one another by name. A model can be changed while
+A name is unique within its kind, not across kinds. Elements refer to one another by name. A model
+can be changed while
 knowledge bases use it: the next question to them sees the change.
 """
 
@@ -95,26 +96,35 @@ class Observer(Protocol):
     """An object that is informed of every change of a model."""
 
     def prepare(self) -> None:
-        """Called before the model changes; if this raises an exception, the model does not change."""
+        """Called before the model changes.
+
+        If this raises an exception, the model does not change.
+        """
 
     def amended(self, change: Amended) -> None:
-        """Called to `put` the change, when no fact is told; called again with it if the call was interrupted."""
+        """Called to `put` the change, when no fact is told.
+
+        Called again with it if the call was interrupted.
+        """
 
     def heard(self) -> None:
         """Called after all observers have been informed."""
 
 
 class Model:
-    """The model of one robot: its actions, functions, designs, components, configurations and attributes.
+    """The model of one robot: its actions, functions, designs, components and attributes.
 
     Args:
         name: name of the model in messages and files.
 
-    The mappings of elements (`actions`, `functions`, ...) are by name, in order of declaration, and read-only.
+    The mappings of elements (`actions`, `functions`, ...) are by name, in order of declaration, and
+    read-only.
 
     Attributes:
-        tables: all elements, constraints and estimations by class; a class stands after those that it refers to.
-        notes: statements of a file that have no meaning in a model, and how they were read; `check` reports them.
+        tables: all elements, constraints and estimations by class; a class stands after those that
+            it refers to.
+        notes: statements of a file that have no meaning in a model, and how they were read; `check`
+            reports them.
         places: positions in files of the elements that were read from files, as file:line:column.
         pending: the change that is being made or was interrupted, or None; see `settle`.
     """
@@ -164,7 +174,10 @@ class Model:
         return self.declare(Attribute, name, kind=AttributeKind.QUALITY, **given)
 
     def environmental_attribute(self, name: str, **given: Unpack[Measured]) -> Attribute:
-        """Declare a measured property of the surroundings, e.g. the light; see `quality_attribute`."""
+        """Declare a measured property of the surroundings, e.g. the light.
+
+        See `quality_attribute`.
+        """
         return self.declare(Attribute, name, kind=AttributeKind.ENVIRONMENTAL, **given)
 
     def component(
@@ -178,7 +191,10 @@ class Model:
         executable: str = "",
         constraints: Iterable[Expression] = (),
     ) -> Component:
-        """Declare a part of the robot; one that the manager shall switch is of kind "process" or "lifecycle"."""
+        """Declare a part of the robot.
+
+        One that the manager shall switch is of kind "process" or "lifecycle".
+        """
         given = {
             "kind": kind,
             "always_improve": always_improve,
@@ -189,7 +205,10 @@ class Model:
         )
 
     def function(self, name: str, *, always_improve: bool = False) -> Function:
-        """Declare what the robot can do as a means; `always_improve`: look for a better design even while solved."""
+        """Declare what the robot can do as a means.
+
+        `always_improve`: look for a better design even while solved.
+        """
         return self.declare(Function, name, always_improve=always_improve)
 
     def action(
@@ -218,9 +237,10 @@ class Model:
         /,
         **given: object,
     ) -> ElementT:
-        """Declare an element of a class with its constraints, or nothing if a field or a constraint is refused.
+        """Declare an element with its constraints, or nothing if anything is refused.
 
-        `given` holds the fields of the class; other elements in it are given by themselves or by their names.
+        `given` holds the fields of the class; other elements in it are given by themselves or by
+        their names.
         """
         kind = KINDS[cls]
         table = self._tables[cls]
@@ -285,7 +305,10 @@ class Model:
         return estimation
 
     def add_fact(self, fact: Fact) -> None:
-        """Add a fact that holds from the start; see `kb.facts`. Knowledge bases that exist already do not get it."""
+        """Add a fact that holds from the start; see `kb.facts`.
+
+        Knowledge bases that exist already do not get it.
+        """
         if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
             self._own("what a fact is about", fact.element, *_NAMED, Constraint, Estimation)
         self._facts.append(_checked_fact(self, fact))
@@ -305,7 +328,10 @@ class Model:
         return None
 
     def watch(self, observer: Observer) -> None:
-        """Inform an observer of every change from now on; the model holds only a weak reference to it."""
+        """Inform an observer of every change from now on.
+
+        The model holds only a weak reference to it.
+        """
         self._observers.append(ref(observer, self._observers.remove))
 
     @classmethod
@@ -314,10 +340,12 @@ class Model:
 
         Args:
             paths: files in ROSA's TypeQL (`.tql`) or in OWL (`.owl`); all in the same format.
-            name: name of the model; by default the one in the files, else the name of the first file.
+            name: name of the model; by default the one in the files, else the name of the first
+                file.
 
         Raises:
-            ModelError: the message gives the file, line and column, what was found there and what was expected.
+            ModelError: the message gives the file, line and column, what was found there and what
+                was expected.
         """
         files = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
         if not files:
@@ -349,7 +377,10 @@ class Model:
         write_text(file, owl_text(self))
 
     def plain(self) -> list[Any]:
-        """Return all that the model says as values that JSON can hold; `from_plain` reads it back."""
+        """Return all that the model says as values that JSON can hold.
+
+        `from_plain` reads it back.
+        """
         positions = Serials.of(self)
         elements = (each for table in self.tables.values() for each in table.values())
         rows = [_row(each, positions) for each in (*elements, *self.facts)]
@@ -372,25 +403,32 @@ class Model:
         return type(self).from_plain, (self.plain(),)
 
     def check(self, names: Iterable[str] | None = None) -> tuple[Finding, ...]:
-        """Find what can never work, what contradicts itself and what is likely a mistake, with advice for each.
+        """Find what can never work and what is likely a mistake, with advice for each.
 
         Args:
-            names: the names of actions in a mission's tree or PDDL domain; names that do not match are found too.
+            names: the names of actions in a mission's tree or PDDL domain; names that do not match
+                are found too.
         """
         return check_model(self, names)
 
     def change(self, element: Changeable | str, **fields: object) -> None:
-        """Change fields of an element, e.g. `model.change(design, priority=2)`, or nothing if one is refused.
+        """Change fields of an element, e.g.
+
+        `model.change(design, priority=2)`, or nothing if one is refused.
 
         Args:
-            element: an element, constraint or estimation of this model, or a name that only one element has.
-            fields: the new values. Constraint: `value`, `hysteresis`, `dwell`; design: `priority`; configuration:
-                `priority`, `parameters`; function: `always_improve`; component: `always_improve`,
-                `stops_to_configure`; attribute: `max_age`, `when_stale`, `agreement`, `forecasting`, `rates`;
+            element: an element, constraint or estimation of this model, or a name that only one
+                element has.
+            fields: the new values. Constraint: `value`, `hysteresis`, `dwell`; design: `priority`;
+                configuration: `priority`, `parameters`; function: `always_improve`; component:
+                    `always_improve`,
+                `stops_to_configure`; attribute: `max_age`, `when_stale`, `agreement`,
+                `forecasting`, `rates`;
                 estimation: `value`, `kind`.
         """
         changed: Changeable = self._own("what is changed", element, *_NAMED, Constraint, Estimation)
-        kind, name = KINDS[type(changed)], called(changed)
+        kind = KINDS[type(changed)]
+        name = called(changed)
         checks = {
             field: check.check for field, check in CHECKS[type(changed)].items() if check.can_change
         }
@@ -402,7 +440,7 @@ class Model:
         self._amend("changed", [changed], partial(_set, changed, values))
 
     def remove(self, element: Changeable | str) -> None:
-        """Remove an element, or the only one with a name, and with it its constraints and the estimations it causes.
+        """Remove an element with its constraints and the estimations that it causes.
 
         A constraint that also applies to other elements stays on those.
 
@@ -418,12 +456,12 @@ class Model:
                 f"{called(unwanted)!r} is needed by {', '.join(users)}; remove that first"
             )
         rests = {
-            one: tuple(other for other in one.constrained if other is not unwanted)
-            for one in self.constraints
-            if unwanted in one.constrained
+            constraint: tuple(other for other in constraint.constrained if other is not unwanted)
+            for constraint in self.constraints
+            if unwanted in constraint.constrained
         }
         removed: list[Changeable] = [unwanted, *(one for one, rest in rests.items() if not rest)]
-        removed += [one for one in self.estimations if one.causer is unwanted]
+        removed += [estimation for estimation in self.estimations if estimation.causer is unwanted]
         facts = [fact for fact in self._facts if not _concerns(fact, removed)]
 
         def put() -> None:
@@ -456,7 +494,7 @@ class Model:
                 self._changing.release()
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether two models have the same name and content, in the same order within each kind."""
+        """Tell whether two models have the same name and content in the same order."""
         return isinstance(other, Model) and (self is other or self.plain() == other.plain())
 
     def __hash__(self) -> int:
@@ -524,7 +562,7 @@ class Model:
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
-        """Make all declarations within the `with` statement one change, or none of them if one is refused."""
+        """Make all declarations within the `with` statement one change, or none of them."""
         batch = self._batch = []
         try:
             yield
@@ -626,7 +664,7 @@ _ABOUT: Final = {
 
 
 def _checked_fact(model: Contents, fact: object) -> Fact:
-    """Return a fact, after checking that its elements are in the model and its values are allowed."""
+    """Return a fact, after checking that its elements and values are allowed."""
     if not isinstance(fact, Fact):
         raise ModelError(f"a fact is one of those in kb.facts, not {fact!r}")
     if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
@@ -788,7 +826,10 @@ def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[M
 
 
 def amended_alike(then: Model, numbers: Serials, model: Model) -> Serials | None:
-    """Return the numbers of a model's elements for those of an equal model; None if the models differ."""
+    """Return the numbers of a model's elements for those of an equal model.
+
+    None if the models differ.
+    """
     if then != model:
         return None
     pairs = zip(Serials.of(then), Serials.of(model), strict=True)

@@ -44,6 +44,8 @@ class Node:
     """
 
     __slots__ = (
+        "attribute",
+        "constraint",
         "constraints",
         "debounced",
         "element",
@@ -51,38 +53,28 @@ class Node:
         "kind",
         "level",
         "name",
-        "network",
         "requires",
         "used_by",
     )
 
     element: Any  # the element of the model; `kind` says of which class
+    attribute: Attribute  # that of this node, or the one that this constraint compares
+    constraint: Constraint  # that of this node
     name: str
     constraints: list["Node"]  # those on this element; for an attribute those that compare it
     debounced: list["Node"]  # for an attribute those whose status depends on earlier measurements
     requires: list["Node"]
     used_by: list["Node"]
 
-    def __init__(
-        self, network: "Network", index: int, kind: str, element: Element | Constraint
-    ) -> None:
-        self.network = network
+    def __init__(self, index: int, kind: str, element: Element | Constraint) -> None:
         self.index = index  # the order of declaration
         self.kind = kind
         self.level = LEVELS[kind]
         self.element = element
-
-    @property
-    def attribute(self) -> Attribute:
-        """The attribute of this node, or the one that this constraint compares."""
-        node = self.requires[0] if self.kind == "constraint" else self
-        attribute: Attribute = node.element
-        return attribute
-
-    @property
-    def constraint(self) -> Constraint:
-        constraint: Constraint = self.element
-        return constraint
+        if isinstance(element, Constraint):
+            self.constraint = element
+        elif isinstance(element, Attribute):
+            self.attribute = element
 
     @property
     def ref(self) -> Ref:
@@ -90,9 +82,6 @@ class Node:
             return self.kind, self.name
         owner = self.used_by[0]
         return owner.kind, owner.name, owner.constraints.index(self)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Network.referred, (self.network, self.ref)
 
     def __repr__(self) -> str:
         return f"<{self.kind} {self.name!r}>"
@@ -121,9 +110,6 @@ class Network:
         tables = {KINDS[cls]: table for cls, table in self._tables.items() if cls is not Constraint}
         self.kinds: Mapping[str, Mapping[str, Node]] = ByName("kind of element", tables)
         self.renew()
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Network, (self.model,)
 
     def present(self) -> Iterator[Node]:
         """Yield the node of every element that is in the model."""
@@ -166,7 +152,7 @@ class Network:
             for key, element in elements.items():
                 node = nodes.get(key)
                 if node is None or node.element is not element:
-                    node = Node(self, self._count, KINDS[cls], element)
+                    node = Node(self._count, KINDS[cls], element)
                     self._count += 1
                 node.name = str(key)
                 node.constraints, node.debounced = [], []
@@ -185,6 +171,7 @@ class Network:
                 _link(node, self.functions[name])
         for constraint, node in self.constraints.items():
             attribute = self.attributes[constraint.attribute]
+            node.attribute = attribute.element
             node.requires.append(attribute)
             attribute.constraints.append(node)
             if constraint.hysteresis or constraint.dwell or node.attribute.agreement != (1, 1):

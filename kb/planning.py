@@ -1,10 +1,10 @@
 """Choices of designs and configurations, by priority or a criterion, and what they change."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
-from kb.elements import ComponentKind, Configuration, FunctionDesign
+from kb.elements import Configuration, FunctionDesign
 from kb.network import Node
 from kb.records import ReconfigurationPlan
 from kb.state import State, in_order
@@ -59,10 +59,10 @@ def choice_by_priority(state: State) -> Choice | None:
     adaptable = in_order(state.adaptable)
     functions = [node for node in adaptable if node.kind == "function"]
     designs = firsts_by_priority(state, functions)
-    selection = decide(state, designs)
+    selection = state.decide(designs)
     if selection.flips:
         following = state.copy()
-        apply_selection(following, selection)
+        following.select(selection.flips)
         adaptable = in_order(following.adaptable)
     given_up = selection.deactivate
     components = [
@@ -113,37 +113,6 @@ class Obsolete(NamedTuple):
         return any(self)
 
 
-class Selection(NamedTuple):
-    """What a choice changes.
-
-    Attributes:
-        flips: the designs and configurations that are selected and were not, or the other way
-            round.
-        activate, deactivate, parameters: what the managed system has to do then, by name.
-    """
-
-    flips: tuple[Node, ...]
-    activate: tuple[str, ...]
-    deactivate: tuple[str, ...]
-    parameters: tuple[str, ...]
-
-    def __bool__(self) -> bool:
-        return bool(self.activate or self.deactivate or self.parameters)
-
-    def plan(
-        self, state: State, reason: str, time: float, cause: int | None = None, number: int = 0
-    ) -> ReconfigurationPlan:
-        """Return the plan that carries it out."""
-        components = state.network.components
-        plain = tuple(
-            name
-            for name in (*self.activate, *self.deactivate)
-            if components[name].element.kind is ComponentKind.PLAIN
-        )
-        steps = (self.activate, self.deactivate, self.parameters)
-        return ReconfigurationPlan(*steps, reason, time, plain=plain, cause=cause, number=number)
-
-
 def obsolete(state: State) -> Obsolete:
     """Return what is selected or active for no required function."""
     nodes = state.obsolete()
@@ -151,71 +120,9 @@ def obsolete(state: State) -> Obsolete:
     return Obsolete(*(_names(node for node in nodes if node.kind == kind) for kind in kinds))
 
 
-def decide(state: State, chosen: Sequence[Node]) -> Selection:
-    """Decide what a choice changes; what is obsolete is given up. Nothing changes yet."""
-    unneeded = state.obsolete()
-    flips = _flips(state, chosen)
-    flipped = set(flips)
-    flips += [node for node in unneeded if node.kind != "component" and node not in flipped]
-    flipped.update(flips)
-
-    def is_used(design: Node) -> bool:
-        is_selected = (design in state.selected) != (design in flipped)
-        return is_selected and state.is_required(design.used_by[0])
-
-    owners = {node.used_by[0] for node in chosen}
-    replaced = [
-        node
-        for node in flips
-        if node.kind == "function design" and node in state.selected and node.used_by[0] in owners
-    ]
-    stopped = [
-        part
-        for design in replaced
-        for part in design.requires
-        if not any(map(is_used, part.used_by))
-    ]
-    stopped += [node for node in unneeded if node.kind == "component"]
-    waiting = {design for component in state.inactive_required() for design in component.used_by}
-    waiting.update(node for node in flips if node.kind == "function design")
-    started = [
-        part
-        for design in sorted(filter(is_used, waiting), key=lambda design: design.index)
-        for part in design.requires
-    ]
-    return Selection(
-        flips=tuple(flips),
-        activate=_names(part for part in started if part not in state.active),
-        deactivate=_names(part for part in stopped if part in state.active),
-        parameters=_names(
-            node for node in flips if node.kind == "configuration" and node not in state.selected
-        ),
-    )
-
-
-def apply_selection(state: State, selection: Selection) -> None:
-    """Select and unselect in a copy of a state."""
-    state.touch(selection.flips)
-    state.selected = state.selected.symmetric_difference(selection.flips)
-    state.infer()
-
-
 def by_owner(chosen: Iterable[Node]) -> Mapping[str, str]:
     """Return the names of what is chosen by what it is chosen for."""
     return MappingProxyType({node.used_by[0].name: node.name for node in chosen})
-
-
-def _flips(state: State, chosen: Sequence[Node]) -> list[Node]:
-    """Return what a choice selects and unselects; what would be obsolete is not selected."""
-    flips = []
-    for node in chosen:
-        owner = node.used_by[0]
-        is_needed = state.is_required(owner) if owner.kind == "function" else state.serves(owner)
-        for part in owner.requires:
-            is_wanted = part is node and bool(is_needed)
-            if (part in state.selected) != is_wanted:
-                flips.append(part)
-    return flips
 
 
 def _names(nodes: Iterable[Node]) -> tuple[str, ...]:

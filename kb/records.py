@@ -1,9 +1,12 @@
 """The records: requested actions, reconfiguration plans, processes, attempts, and vetoes of plans."""
 
 import copyreg
-from collections.abc import Callable, Mapping
+import math
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields
+from itertools import islice
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
@@ -19,6 +22,7 @@ T = TypeVar("T")
 RESULTS: Final = ("completed", "failed", "abandoned")
 _MOST: Final = 10_000
 """How many records of each kind are held: the newest, and whatever has not ended."""
+_MOST_EVENTS: Final = 100_000
 _MOST_END_REASONS: Final = 4
 
 
@@ -198,6 +202,57 @@ _CLASSES: Final = (RequiredAction, ReconfigurationPlan, Process, Attempt, VetoAn
 """The classes of records, each after those that it refers to."""
 
 
+class Log:
+    """The newest events of a knowledge base by number, as far as they are held in memory.
+
+    Attributes:
+        last: number of the last event; 0 before the first.
+        time: of the last event [s].
+        witnesses: functions that are called with each event by the thread that records it, while
+            the base is held.
+    """
+
+    def __init__(self, lock: AbstractContextManager[object], catch_up: Callable[[], None]) -> None:
+        self._lock = lock
+        self.catch_up = catch_up  # called before all are looked at: what was interrupted ends
+        self._events: deque[Event] = deque(maxlen=_MOST_EVENTS)
+        self.last = 0
+        self.time = -math.inf
+        self.witnesses: tuple[Callable[[Any], None], ...] = ()
+
+    @property
+    def begins(self) -> int:
+        """Number of the event from which on every one is held; 1 while none is forgotten."""
+        return self.last + 1 - len(self._events)
+
+    def append(self, event: "Event") -> None:
+        """Add an event, unless one of its number is there already."""
+        if not self._events or self._events[-1].number < event.number:
+            self._events.append(event)
+        self.last = event.number
+        self.time = event.time
+
+    def resume(self, number: int) -> None:
+        """Go on after an event that is not held here."""
+        if number != self.last:
+            self._events.clear()
+            self.last = number
+
+    def since(self, number: int) -> Iterator["Event"]:
+        """Yield the events after one, in order."""
+        with self._lock:
+            newest = list(islice(reversed(self._events), max(0, self.last - number)))
+        newest.reverse()
+        return iter(newest)
+
+    def __iter__(self) -> Iterator["Event"]:
+        self.catch_up()
+        return self.since(0)
+
+    def __len__(self) -> int:
+        return len(self._events)
+
+
 class Records:
     """All records by number, in order. `apply` only assigns, so that it can be repeated after an interrupt.
 
@@ -336,6 +391,30 @@ class Records:
             f"{plan!r} is not a plan of this knowledge base; give one of kb.plans "
             f"(numbers: {numbers})"
         )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all records as values of which JSON is made."""
+        tables = self._tables.values()
+        return {
+            "records": [[written(record) for record in table.values()] for table in tables],
+            "end_reasons": list(self.end_reasons.items()),
+            "last_end": self.last_end,
+            "rejected": self.rejected,
+            "progress": [[*key, saved] for key, saved in self.progress.items()],
+        }
+
+    def from_json(self, written: Mapping[str, Any]) -> None:
+        """Restore the records that `to_json` returned."""
+        for cls, records in zip(_CLASSES, written["records"], strict=True):
+            for values in records:
+                if "plan" in values:
+                    values["plan"] = self.plans[values["plan"]]
+                self._add(restored(cls, values))
+        self.end_reasons = dict(written["end_reasons"])
+        self.last_end = written["last_end"] and tuple(written["last_end"])
+        self.rejected = written["rejected"]
+        for action, behaviour, saved in written["progress"]:
+            self.progress[action, behaviour] = saved
 
 
 class HistoryView:

@@ -15,7 +15,7 @@ from kb.elements import Constraint, Element, finite_number, listed, meant_by, sh
 from kb.exceptions import InvalidValue
 from kb.forecast import feasible_until, suppose_forecast
 from kb.network import Network, Node, Ref
-from kb.planning import Choice, Obsolete, apply_selection, by_owner, decide, firsts_by_priority
+from kb.planning import Choice, Obsolete, by_owner, firsts_by_priority
 from kb.planning import obsolete as all_obsolete
 from kb.state import State, in_order
 from kb.status import Status
@@ -91,7 +91,7 @@ def adaptable_components(
     with base.reading() as state:
         supposed = state.copy()
         designs_chosen = [state.network.designs[name] for name in names]
-        apply_selection(supposed, decide(supposed, designs_chosen))
+        supposed.select(supposed.decide(designs_chosen).flips)
         return _adaptable(supposed, "component")
 
 

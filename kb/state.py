@@ -7,14 +7,16 @@ constraint, configuration, component, design, function, action.
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import attrgetter
-from typing import Final, NamedTuple
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
 
 from kb.debounce import NEVER, Debounced, debounce, policy_status, voted_status
-from kb.elements import Parameters
+from kb.elements import ComponentKind, Parameters
 from kb.events import Event
 from kb.network import LEVELS, Network, Node
+from kb.records import ReconfigurationPlan
 from kb.status import (
     OPERATORS,
     Status,
@@ -30,6 +32,18 @@ KEPT: Final = 10_000
 """How many measurements of each attribute are kept: the newest ones."""
 
 
+_FLAGS: Final = ("stale", "failed", "active", "selected", "requested", "asserted_required")
+_VALUES: Final[Mapping[str, Callable[[Any], Any]]] = {
+    "value": float,
+    "time": float,
+    "asserted": Status,
+    "votes": lambda votes: tuple(map(tuple, votes)),
+    "debounced": Debounced.from_json,
+    "histories": lambda rows: deque(map(tuple, rows)),
+}
+"""The facts that are values by node, and how each is read from JSON."""
+
+
 class Reason(NamedTuple):
     """The reason that was given with a fact, and the time until which the fact holds [s]."""
 
@@ -42,6 +56,33 @@ class Reason(NamedTuple):
         if self.until is None:
             return words
         return f" until {f'{self.until:.3f}'.rstrip('0').rstrip('.')} s{words}"
+
+
+class Selection(NamedTuple):
+    """What a choice changes.
+
+    Attributes:
+        flips: the designs and configurations that are selected and were not, or the other way
+            round.
+        activate, deactivate, parameters: what the managed system has to do then, by name.
+        plain: those of them that are not commanded.
+    """
+
+    flips: tuple[Node, ...]
+    activate: tuple[str, ...]
+    deactivate: tuple[str, ...]
+    parameters: tuple[str, ...]
+    plain: tuple[str, ...]
+
+    def plan(
+        self, reason: str, time: float, cause: int | None = None, number: int = 0
+    ) -> ReconfigurationPlan | None:
+        """Return the plan that carries it out; None if there is nothing to do."""
+        steps = self.activate, self.deactivate, self.parameters
+        if not any(steps):
+            return None
+        plain = self.plain
+        return ReconfigurationPlan(*steps, reason, time, plain=plain, cause=cause, number=number)
 
 
 class State:
@@ -146,6 +187,49 @@ class State:
     def reason(self, fact: str, node: Node) -> Reason:
         """Return the reason that was given with a fact, such as "failed" or "selected"."""
         return self.reasons.get((fact, node)) or Reason()
+
+    # ---------------------------------------------------------------- choosing
+
+    def decide(self, chosen: Sequence[Node]) -> Selection:
+        """Decide what a choice changes; what is obsolete is given up. Nothing changes yet."""
+        flips = []
+        for node in chosen:
+            is_of_use = self._is_of_use(node)
+            for part in node.used_by[0].requires:
+                if (part in self.selected) is not (part is node and is_of_use):
+                    flips.append(part)
+        unneeded = self.obsolete()
+        flips += [node for node in unneeded if node.kind != "component" and node not in flips]
+        selected = self.selected.symmetric_difference(flips)
+        designs = [node for node in flips if node.kind == "function design"]
+
+        def is_used(design: Node) -> bool:
+            return design in selected and self.is_required(design.used_by[0])
+
+        owners = {node.used_by[0] for node in chosen}
+        stopped = []
+        for design in designs:
+            if design in self.selected and design.used_by[0] in owners:
+                stopped += [part for part in design.requires if not any(map(is_used, part.used_by))]
+        stopped += [node for node in unneeded if node.kind == "component"]
+        waiting = {*designs, *(user for node in self._inactive_required for user in node.used_by)}
+        started = [
+            part for design in in_order(filter(is_used, waiting)) for part in design.requires
+        ]
+        switched = dict.fromkeys(node for node in started if node not in self.active)
+        released = dict.fromkeys(node for node in stopped if node in self.active)
+        configured = [node for node in flips if node in selected and node.kind == "configuration"]
+        plain = [
+            node for node in (*switched, *released) if node.element.kind is ComponentKind.PLAIN
+        ]
+        nodes = switched, released, configured, plain
+        return Selection(tuple(flips), *(tuple(node.name for node in each) for each in nodes))
+
+    def select(self, flips: Iterable[Node]) -> None:
+        """Select and unselect in a copy of a state."""
+        self.touch(flips)
+        self.selected = self.selected.symmetric_difference(flips)
+        self.infer()
 
     # ---------------------------------------------------------------- events
 
@@ -462,6 +546,52 @@ class State:
             if constraint in attribute.debounced:
                 self.debounced[constraint] = Debounced()
         self._schedule_attribute(attribute, now)
+
+    # ---------------------------------------------------------------- as JSON
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the facts as values of which JSON is made."""
+        facts = vars(self)
+        written: dict[str, Any] = {"parameters": self.parameters}
+        for name in _FLAGS:
+            written[name] = [node.ref for node in in_order(facts[name])]
+        for name in _VALUES:
+            written[name] = [(node.ref, value) for node, value in facts[name].items()]
+        written["reasons"] = [(fact, node.ref, *why) for (fact, node), why in self.reasons.items()]
+        return written
+
+    def from_json(self, written: Mapping[str, Any]) -> None:
+        """Restore what `to_json` returned."""
+        find = self.network.referred
+        facts = vars(self)
+        for name in _FLAGS:
+            facts[name] = {find(ref) for ref in written[name]}
+        for name, read in _VALUES.items():
+            facts[name] = {find(ref): read(value) for ref, value in written[name]}
+        for name, values in written["parameters"].items():
+            self.parameters[name] = MappingProxyType(values)
+        for node, rows in self.histories.items():
+            self.histories[node] = deque(rows, self.keep)
+        for fact, ref, text, until in written["reasons"]:
+            node = find(ref)
+            self.reasons[fact, node] = Reason(text, until)
+            if fact == "asserted":
+                self._schedule("lapse", node, until)
+        for node, time in self.time.items():
+            self._schedule_attribute(node, time)
+        self.touch(self.network.present())
+        self.infer()
+        self.before = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and deep-copy a state by its facts; the statuses are inferred again."""
+        return _restored, (self.network.model, self.keep, self.to_json())
+
+
+def _restored(model: Any, keep: int, written: Mapping[str, Any]) -> State:  # noqa: ANN401  # a `Model`
+    state = State(Network(model), keep)
+    state.from_json(written)
+    return state
 
 
 def _put(nodes: set[Node], node: Node, is_in: bool) -> None:

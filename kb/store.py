@@ -8,36 +8,24 @@ after it are replayed. If the disk is slower than the robot, whoever records wai
 import json
 import logging
 import os
-import pickle
 import sqlite3
 import time
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, suppress
-from io import BytesIO
 from pathlib import Path
 from threading import Condition, Thread
 from threading import Event as Signal
 from typing import Any, Final
 
-from kb.debounce import Debounced
-from kb.events import Event, Log
+from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.model import Model, Serials, amend, amended_alike, differences, rebuilt
-from kb.network import Network
 from kb.records import (
-    Attempt,
-    Process,
+    Log,
     ReconfigurationPlan,
-    Records,
-    RequiredAction,
-    VetoAnswer,
-    read_only,
     restored,
     written,
 )
-from kb.state import Reason, State
-from kb.status import Status
 
 _APPLICATION: Final = 0x524F5341  # ROSA in ASCII
 _FORMAT: Final = 5
@@ -45,20 +33,13 @@ _TABLES: Final = """
 CREATE TABLE about (name TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE events (number INTEGER PRIMARY KEY, time REAL NOT NULL, verb TEXT NOT NULL,
     subject TEXT NOT NULL, data TEXT NOT NULL);
-CREATE TABLE snapshots (number INTEGER PRIMARY KEY, data BLOB NOT NULL);
+CREATE TABLE snapshots (number INTEGER PRIMARY KEY, data TEXT NOT NULL);
 """
 _FORGET_MEASUREMENTS: Final = """
 DELETE FROM events WHERE number IN (SELECT number FROM (SELECT number, row_number() OVER (
     PARTITION BY subject ORDER BY number DESC) AS place FROM events WHERE verb = 'measure')
     WHERE place > ? AND number <= ?)
 """
-_IN_SNAPSHOTS: Final = {
-    what.__qualname__: what
-    for what in (
-        *(State, Reason, Debounced, Status, Network.referred, deque, read_only),
-        *(Records, RequiredAction, ReconfigurationPlan, Process, Attempt, VetoAnswer),
-    )
-}
 _ABOUT: Final = "INSERT OR REPLACE INTO about VALUES (?, ?)"
 _SNAPSHOT_AFTER: Final = 10_000  # events
 _MOST_WAITING: Final = 20_000  # events; with more, whoever records waits
@@ -141,14 +122,11 @@ class Store:
             "Give that model, or name another file"
         )
 
-    def restored(self, network: Network) -> tuple[Any, list[Event]]:
-        """Return the last snapshot, about the nodes of a network, and the events after it."""
+    def restored(self) -> tuple[dict[str, Any] | None, list[Event]]:
+        """Return the last snapshot, and the events after it."""
         row = self._connection.execute("SELECT number, data FROM snapshots").fetchone()
-        snapshot = None
-        if row is not None:
-            self._snapshot_number = row[0]
-            snapshot = _Unpickler(row[1], network).load()
-        return snapshot, list(events_in(self._connection, self._snapshot_number))
+        self._snapshot_number, data = row or (0, "null")
+        return json.loads(data), list(events_in(self._connection, self._snapshot_number))
 
     def check_open(self) -> None:
         """Raise an error if nothing more can be recorded here."""
@@ -169,7 +147,7 @@ class Store:
         self,
         log: Log,
         lock: Any,  # noqa: ANN401  # an RLock has no type
-        snapshot: Callable[[], tuple[object, ...]],
+        snapshot: Callable[[], dict[str, Any]],
         record_message: Callable[[str], None],
     ) -> None:
         """Write events from now on.
@@ -268,7 +246,7 @@ class Store:
             since = last - self._snapshot_number
             is_long_ago = since >= (1000 if self._is_stopping else _SNAPSHOT_AFTER)
             if is_long_ago or any(event.verb == "amend" for event in batch):
-                snapshot = _pickled(self._snapshot())
+                snapshot = json.dumps(self._snapshot(), default=_plain, separators=(",", ":"))
         was_wrong = self.error is not None
         if len(batch) != last - self.saved:
             self._is_given_up = True
@@ -286,7 +264,7 @@ class Store:
         if was_wrong:
             self._tell(f"{self.path}: everything is saved again")
 
-    def _commit(self, batch: list[Event], last: int, snapshot: bytes | None) -> None:
+    def _commit(self, batch: list[Event], last: int, snapshot: str | None) -> None:
         if not batch and snapshot is None:
             return
         connection = self._connection
@@ -428,31 +406,8 @@ def backup_store(path: Path, copy: Path) -> None:
         connection.execute("PRAGMA journal_mode=DELETE")
 
 
-class _Pickler(pickle.Pickler):
-    """Writes a snapshot; the network is left out, since it follows from the model."""
-
-    def persistent_id(self, value: object) -> str | None:
-        return "network" if isinstance(value, Network) else None
-
-
-class _Unpickler(pickle.Unpickler):
-    """Reads a snapshot about the nodes of a network; a file can make nothing but what is known."""
-
-    def __init__(self, data: bytes, network: Network) -> None:
-        super().__init__(BytesIO(data))
-        self._network = network
-
-    def persistent_load(self, _: str) -> Network:
-        return self._network
-
-    def find_class(self, module: str, name: str) -> Any:  # noqa: ANN401  # a class or function
-        return _IN_SNAPSHOTS[name]
-
-
-def _pickled(snapshot: object) -> bytes:
-    file = BytesIO()
-    _Pickler(file, pickle.HIGHEST_PROTOCOL).dump(snapshot)
-    return file.getvalue()
+def _plain(value: Any) -> object:  # noqa: ANN401  # what JSON does not know
+    return dict(value) if isinstance(value, Mapping) else list(value)
 
 
 def events_in(connection: sqlite3.Connection, after: int = 0) -> Iterator[Event]:

@@ -16,10 +16,8 @@ from kb.status import OPERATORS, STATUSES
 from kb.views import ActionView, ComponentView, ConfigurationView, DesignView, FunctionView
 from rosa_bt.exceptions import report
 from rosa_bt.requests import (
-    PREVIOUS_RUN,
     ActionRequest,
     Requester,
-    mission_of,
     requests_of,
     store_progress,
     why,
@@ -56,7 +54,7 @@ def halt(root: Behaviour) -> None:
 
 
 class GuardedBehaviour(Behaviour):
-    """A behaviour that fails on an exception, with its text as feedback, and that an interrupt stops."""
+    """A behaviour that fails on an exception, with its text as feedback; an interrupt stops it."""
 
     def advance(self) -> Generator[Behaviour, None, Status]:
         """Do the work of one tick: yield the nodes that are visited before, return the status."""
@@ -162,7 +160,7 @@ class ActionBehaviour(PortsMixin, KbBehaviour):
 
 
 class IsActionFeasible(ActionBehaviour):
-    """Condition: SUCCESS while the action's status is not "unfeasible", else FAILURE with the reason.
+    """Condition: SUCCESS while the action is not unfeasible, else FAILURE with the reason.
 
     Args:
         action: name of the ROSA action; without it, the port `action` gives it.
@@ -340,7 +338,7 @@ class RosaAction(ActionBehaviour, Requester):
         self.exclusive = exclusive
         self.halting_timeout = halting_timeout
         self._preference = preference
-        self._request = ActionRequest(self, kb, timeout if wait else None)
+        self._request = ActionRequest(self, kb)
         self._has_begun = False
         self._saved_s = -math.inf
 
@@ -362,31 +360,14 @@ class RosaAction(ActionBehaviour, Requester):
         """Return how far the action has come, or None (the default) if it starts afresh next time.
 
         Called before `terminate` when the action is interrupted or fails; and, if the knowledge
-        base
-        has a store, about once a second while it runs: the store keeps it (as JSON) for the next
-        program. It is kept by action and name of the behaviour, separately for each tree of a
-        `TreeRunner`, until the action succeeds or a new mission begins.
+        base has a store, about once a second while it runs: the store keeps it (as JSON) for the
+        next program. It is kept by action and name of the behaviour until the action succeeds or a
+        new mission begins.
         """
         return None
 
     def restore_progress(self, progress: object) -> None:
         """Continue from what `save_progress` returned; called after `initialise`."""
-
-    def forget_progress(self) -> None:
-        """Drop what this behaviour saved, for all actions."""
-        progress = requests_of(self.kb).progress
-        for mission, action, name in tuple(progress):
-            if name == self.name and mission in (mission_of(self), PREVIOUS_RUN):
-                del progress[mission, action, name]
-        for action, name in tuple(self.kb.history.progress):
-            if name == self.name:
-                store_progress(self.kb, action, name, "")
-
-    @property
-    def has_earlier_progress(self) -> bool:
-        """Whether an earlier program left progress for this behaviour that is not restored yet."""
-        keys = requests_of(self.kb).progress
-        return any(mission is PREVIOUS_RUN and name == self.name for mission, _, name in keys)
 
     def stop(self, new_status: Status) -> None:
         """Save progress, call `terminate`, and release the request or begin to halt.
@@ -430,16 +411,16 @@ class RosaAction(ActionBehaviour, Requester):
         self._has_begun = True
         self.initialise()
         self._saved_s = self.kb.now
-        progress = requests_of(self.kb).progress
-        earlier = progress.pop((PREVIOUS_RUN, self.action, self.name), None)
-        saved = progress.get((mission_of(self), self.action, self.name), earlier)
-        if saved is not None:
-            self.restore_progress(saved)
+        requests = requests_of(self.kb)
+        key = (self.action, self.name)
+        requests.earlier.discard(key)
+        if key in requests.progress:
+            self.restore_progress(requests.progress[key])
 
     def _save(self, new_status: Status) -> None:
         all_progress = requests_of(self.kb).progress
         try:
-            key = mission_of(self), self.action, self.name
+            key = (self.action, self.name)
             progress = None if new_status is Status.SUCCESS else self.save_progress()
             all_progress.pop(key, None)
             if progress is not None:
@@ -447,6 +428,6 @@ class RosaAction(ActionBehaviour, Requester):
             if self.kb.store is not None:
                 self._saved_s = self.kb.now
                 saved = "" if progress is None else json.dumps(progress)
-                store_progress(self.kb, self.action, self.name, saved)
+                store_progress(self.kb, *key, saved)
         except Exception as error:
             report(self, error, " (progress is not saved)")

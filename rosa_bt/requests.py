@@ -1,4 +1,4 @@
-"""Who has requested which action, what still halts, and the progress that interrupted actions saved.
+"""Who has requested which action, what still halts, and what interrupted actions saved.
 
 All of this belongs to a knowledge base and not to behaviours, because behaviours come and go: a
     tree
@@ -18,7 +18,7 @@ from py_trees.composites import Parallel
 
 from kb import Event, KnowledgeBase, UnknownName
 from kb import Status as ElementStatus
-from rosa_bt.exceptions import report, root_of
+from rosa_bt.exceptions import path_of, report
 
 _log = logging.getLogger(__name__)
 _RESULTS: Final = {
@@ -26,8 +26,6 @@ _RESULTS: Final = {
     Status.FAILURE: "failed",
     Status.INVALID: "abandoned",
 }
-PREVIOUS_RUN: Final = object()
-"""In place of a mission: the key of progress that an earlier program left in the store."""
 
 
 class Requester(Behaviour):
@@ -65,16 +63,16 @@ class Requests:
     halting: dict["ActionRequest", str] = field(default_factory=dict)
     """The requests of interrupted actions that need time to stop, with why they were
     interrupted."""
-    progress: dict[tuple[object, str, str], object] = field(default_factory=dict)
-    """What was saved, by mission (or `PREVIOUS_RUN`), action and name of the behaviour."""
+    progress: dict[tuple[str, str], object] = field(default_factory=dict)
+    """What was saved, by action and name of the behaviour."""
+    earlier: set[tuple[str, str]] = field(default_factory=set)
+    """The keys of what an earlier program left in the store, and that is not restored yet."""
     reasons: dict[str, tuple[int, str]] = field(default_factory=dict)
     """Why an action has its status: the revision for which this holds, and the sentence."""
     advanced_at: float = -math.inf
 
 
 _requests: WeakKeyDictionary[KnowledgeBase, Requests] = WeakKeyDictionary()
-_missions: WeakKeyDictionary[Behaviour, object] = WeakKeyDictionary()
-"""The mission of each tree, by its root: what is saved in one is not restored in another."""
 
 
 def requests_of(kb: KnowledgeBase) -> Requests:
@@ -82,8 +80,9 @@ def requests_of(kb: KnowledgeBase) -> Requests:
     requests = _requests.get(kb)
     if requests is None:
         requests = _requests.setdefault(kb, Requests())
-        for (action, name), saved in kb.history.progress.items():
-            requests.progress[PREVIOUS_RUN, action, name] = json.loads(saved)
+        for key, saved in kb.history.progress.items():
+            requests.progress[key] = json.loads(saved)
+        requests.earlier.update(requests.progress)
         for action in kb.store.left if kb.store is not None else ():
             if action in kb.actions:
                 ended = "the program that requested it has ended"
@@ -91,21 +90,24 @@ def requests_of(kb: KnowledgeBase) -> Requests:
     return requests
 
 
-def begin_mission(root: Behaviour) -> None:
-    """Keep the progress that is saved in this tree apart from that of other trees."""
-    _missions.setdefault(root, object())
+def forget_progress(
+    kb: KnowledgeBase, name: str | None = None, *, keeps_earlier: bool = False
+) -> None:
+    """Drop the progress that interrupted actions saved: the next mission starts afresh.
 
-
-def mission_of(behaviour: Behaviour) -> object:
-    """Return the key of the mission that a behaviour belongs to; None without a runner."""
-    return _missions.get(root_of(behaviour))
-
-
-def forget_progress(kb: KnowledgeBase) -> None:
-    """Drop the progress that interrupted actions saved: the next mission starts afresh."""
-    requests_of(kb).progress.clear()
-    for action, name in kb.history.progress:
-        store_progress(kb, action, name, "")
+    Args:
+        kb: the knowledge base.
+        name: of the behaviour; without it, all is dropped.
+        keeps_earlier: keep what an earlier program left.
+    """
+    requests = requests_of(kb)
+    kept = requests.earlier if keeps_earlier else set()
+    for key in {*requests.progress, *kb.history.progress} - kept:
+        if name in (None, key[1]):
+            requests.progress.pop(key, None)
+            requests.earlier.discard(key)
+            if key in kb.history.progress:
+                store_progress(kb, *key, "")
 
 
 def store_progress(kb: KnowledgeBase, action: str, name: str, saved: str) -> None:
@@ -139,27 +141,25 @@ def advance_halting(kb: KnowledgeBase) -> None:
         request.advance_halting()
 
 
-def end_halting(kb: KnowledgeBase, root: Behaviour) -> None:
-    """Release what still halts in a tree, or was taken out of one, at once."""
+def end_halting(kb: KnowledgeBase) -> None:
+    """Release what still halts at once."""
     for request in tuple(requests_of(kb).halting):
-        root_of_owner = root_of(request.owner)
-        if root_of_owner is root or root_of_owner not in _missions:
-            request.end_halting(f"the tree was shut down while {request.owner.name} was halting")
+        request.end_halting(f"the tree was shut down while {request.owner.name} was halting")
 
 
 class ActionRequest:
     """The request of one behaviour, from `admit` to the first `close`.
 
     Args:
-        owner: the behaviour; it has an `action` and a `preference`.
-        timeout: how long to wait for the robot's configuration [s]; None: do not wait.
+        owner: the behaviour; it has an `action` and a `preference`, and says whether to `wait` for
+            the robot's configuration, and for how long (`timeout` [s]).
     """
 
-    def __init__(self, owner: Any, kb: KnowledgeBase, timeout: float | None) -> None:  # noqa: ANN401  # a Requester
-        if timeout is not None and not timeout > 0:
-            raise ValueError(f"a time-out is more than 0 s, or math.inf for none; not {timeout!r}")
+    def __init__(self, owner: Any, kb: KnowledgeBase) -> None:  # noqa: ANN401  # a Requester
+        if not owner.timeout > 0:
+            problem = f"a time-out is more than 0 s, or math.inf for none; not {owner.timeout!r}"
+            raise ValueError(problem)
         self.owner = owner
-        self.timeout: Final = timeout
         self._kb = kb
         self._since = math.nan
         self._halting_since = math.nan
@@ -173,7 +173,7 @@ class ActionRequest:
         return self in requests_of(self._kb).halting
 
     def admit(self) -> Status:
-        """Return SUCCESS if the owner may work, RUNNING while it waits, FAILURE if it must not work.
+        """Return SUCCESS if the owner may work, RUNNING while it waits, else FAILURE.
 
         The reason becomes the owner's feedback. If the action became unfeasible, the owner is
         stopped.
@@ -196,11 +196,17 @@ class ActionRequest:
         if objection:
             owner.feedback_message = objection
             return Status.FAILURE
-        if self._is_ready:
-            return Status.SUCCESS
-        status, owner.feedback_message = self._readiness(str(self._action))
-        self._is_ready = status is Status.SUCCESS
-        return status
+        lacking = "" if self._is_ready else self._lacking()
+        if lacking and self._kb.now - self._since >= owner.timeout:
+            owner.feedback_message = f"not ready within {owner.timeout:g} s: {lacking}"
+            return Status.FAILURE
+        if lacking:
+            owner.feedback_message = f"waiting: {lacking}"
+            return Status.RUNNING
+        if not self._is_ready:
+            owner.feedback_message = ""
+        self._is_ready = True
+        return Status.SUCCESS
 
     def _open(self, action: str, preference: str | None) -> str:
         """Request an action; return why it is refused. It is registered before it is requested."""
@@ -223,23 +229,15 @@ class ActionRequest:
         except UnknownName:
             return f"{action} is no longer in the model"
 
-    def _readiness(self, action: str) -> tuple[Status, str]:
-        """Return SUCCESS if the robot is configured, RUNNING or after the time-out FAILURE.
-
-        And why.
-        """
+    def _lacking(self) -> str:
+        """Return why the robot is not configured for the action; empty if it is."""
         kb = self._kb
-        if self.timeout is None:
-            return Status.SUCCESS, ""
+        action = str(self._action)
+        if not self.owner.wait:
+            return ""
         if kb.actions[action].status is not ElementStatus.SOLVED:
-            lacking = why(kb, action)
-        elif kb.pending_plan is not None:
-            lacking = f"the robot is being reconfigured ({kb.pending_plan})"
-        else:
-            return Status.SUCCESS, ""
-        if kb.now - self._since >= self.timeout:
-            return Status.FAILURE, f"not ready within {self.timeout:g} s: {lacking}"
-        return Status.RUNNING, f"waiting: {lacking}"
+            return why(kb, action)
+        return f"the robot is being reconfigured ({kb.pending_plan})" if kb.pending_plan else ""
 
     def close(self, status: Status, reason: str) -> None:
         """Release the action; the last of its requesters cancels the request, with its result.
@@ -256,12 +254,8 @@ class ActionRequest:
             if status is Status.INVALID and not reason and not kb.is_feasible(action):
                 reason = kb.why(kb.actions[action])
             kb.cancel_action(action, _RESULTS[status], "" if status is Status.SUCCESS else reason)
-            for preference in list(others.values()):  # another thread joined meanwhile
-                kb.request_action(action, preference)
         self._action = None
         self._is_ready = False
-
-    # ---------------------------------------------------------------- halting
 
     def _blocking(self, action: str) -> str:
         """Return what an action has to wait for before it is requested; empty if for nothing."""
@@ -291,13 +285,11 @@ class ActionRequest:
 
     def _displaces(self, other: "ActionRequest") -> bool:
         """Tell whether the other owner will be interrupted as soon as this one is RUNNING."""
-        path: list[Behaviour] = [self.owner]
-        while path[-1].parent is not None:
-            path.append(path[-1].parent)
-        node: Behaviour | None = other.owner
-        while node is not None and node not in path:
-            node = node.parent
-        return node is not None and not is_parallel(node)
+        mine = set(path_of(self.owner))
+        for node in path_of(other.owner):
+            if node in mine:
+                return not is_parallel(node)
+        return False
 
     def halt(self) -> None:
         """Begin to halt the owner, which was interrupted.

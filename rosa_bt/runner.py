@@ -18,7 +18,7 @@ from rosa_bt.behaviours import GuardedBehaviour, KbBehaviour, RosaAction, halt
 from rosa_bt.decorators import Clock, ForAction, follow_clock
 from rosa_bt.display import svg_tree
 from rosa_bt.exceptions import ClockError, on_error, report
-from rosa_bt.requests import advance_halting, begin_mission, end_halting, requests_of
+from rosa_bt.requests import advance_halting, end_halting, forget_progress, requests_of
 
 _log = logging.getLogger(__name__)
 Handler = Callable[[BehaviourTree], None]
@@ -51,7 +51,7 @@ class GuardedTree(BehaviourTree):
         self.errors: list[tuple[Behaviour, Exception]] = []
         self._clock = clock
         self._raises = raises
-        self._present: dict[Behaviour, None] = {}
+        self._present: list[Behaviour] = []
         self._bases: dict[KnowledgeBase, None] = {}
         self._setup_arguments: dict[str, Any] | None = None
         on_error(root, self._note_error)
@@ -74,17 +74,14 @@ class GuardedTree(BehaviourTree):
         """
         super().setup(timeout, visitor, **kwargs)
         self._setup_arguments = kwargs
-        self._present = dict.fromkeys(self.root.iterate())
+        self._present = list(self.root.iterate())
 
     def tick(
         self, pre_tick_handler: Handler | None = None, post_tick_handler: Handler | None = None
     ) -> None:
-        """Tick once, with handlers and visitors as in py_trees.
-
-        If one raises, halt and raise that.
-        """
+        """Tick once, with handlers and visitors as in py_trees, which takes longer."""
+        self.errors.clear()
         try:
-            self.errors.clear()
             for handler in filter(None, [pre_tick_handler, *self.pre_tick_handlers]):
                 handler(self)
             self._take_all()
@@ -97,7 +94,6 @@ class GuardedTree(BehaviourTree):
                 self._raise_error()
                 for visitor in passing:
                     node.visit(visitor)
-            self._raise_error()
             full = [visitor for visitor in self.visitors if visitor.full]
             for node in self.root.iterate() if full else ():
                 for visitor in full:
@@ -127,7 +123,7 @@ class GuardedTree(BehaviourTree):
         self._take_all()
         halt(self.root)
         for kb in self._bases:
-            end_halting(kb, self.root)
+            end_halting(kb)
         with ExitStack() as stack:
             stack.callback(self._raise_error)
             for behaviour in reversed(list(self.root.iterate())):
@@ -136,7 +132,8 @@ class GuardedTree(BehaviourTree):
     def _note_error(self, behaviour: Behaviour, error: Exception) -> None:
         self.errors.append((behaviour, error))
         for visitor in self.visitors:
-            getattr(visitor, "error", _ignore)(behaviour, error)
+            if hasattr(visitor, "error"):
+                visitor.error(behaviour, error)
 
     def _raise_error(self) -> None:
         if self._raises and self.errors:
@@ -144,17 +141,20 @@ class GuardedTree(BehaviourTree):
 
     def _take_all(self) -> None:
         """Take what is new in the tree, and let go of what is no longer in it."""
-        count = 0
-        pending = [self.root]
-        while pending:
-            behaviour = pending.pop()
-            count += 1
-            if behaviour not in self._present:
-                self._present[behaviour] = None
-                self._take(behaviour)
-            pending += behaviour.children
-        if count != len(self._present):
-            self._let_go()
+        nodes = list(self.root.iterate())
+        if nodes == self._present:
+            return
+        before = self._present
+        self._present = nodes
+        for behaviour in _difference(nodes, before):
+            self._take(behaviour)
+        for behaviour in _difference(before, nodes):
+            halt(behaviour)
+        for behaviour in nodes:  # a composite that lost its current child starts again
+            if not isinstance(behaviour, Selector | Sequence):
+                continue
+            if behaviour.current_child not in behaviour.children:
+                halt(behaviour)
 
     def _take(self, behaviour: Behaviour) -> None:
         follow_clock(behaviour, self._clock)
@@ -169,22 +169,10 @@ class GuardedTree(BehaviourTree):
             except Exception as error:
                 report(behaviour, error, " (in setup)")
 
-    def _let_go(self) -> None:
-        """Stop what was taken out, and composites that lost their current child: they start again."""
-        before = self._present
-        self._present = dict.fromkeys(self.root.iterate())
-        for behaviour in before:
-            if behaviour not in self._present:
-                halt(behaviour)
-        for behaviour in self._present:
-            if not isinstance(behaviour, Selector | Sequence):
-                continue
-            if behaviour.current_child not in behaviour.children:
-                halt(behaviour)
 
-
-def _ignore(*error: object) -> None:
-    """Do nothing: most visitors are not told of errors."""
+def _difference(nodes: list[Behaviour], others: list[Behaviour]) -> list[Behaviour]:
+    excluded = set(others)
+    return [node for node in nodes if node not in excluded]
 
 
 def _is_trusted(behaviour: Behaviour) -> bool:
@@ -304,8 +292,7 @@ class TreeRunner:
         self._ticks = 0
         self._is_stopped = False
         self.tree = GuardedTree(root, self._tree_time, raises=on_error == "raise")
-        begin_mission(root)
-        self._forget_progress(lambda action: not action.has_earlier_progress)
+        self._forget_progress(keeps_earlier=True)
 
     def _repr_svg_(self) -> str:
         return svg_tree(self.tree.root)
@@ -343,7 +330,7 @@ class TreeRunner:
         return True
 
     def tick(self) -> None:
-        """Tick once; what a handler or visitor raises, or an interrupt, is raised when all is stopped."""
+        """Tick once; an exception of a handler, or an interrupt, first stops the tree."""
         self._read_clock()
         if self._is_stopped:
             self.tree.advance_halting()
@@ -353,7 +340,7 @@ class TreeRunner:
             self._forget_progress()
 
     def stop(self) -> None:
-        """Interrupt the tree: from now on, ticks only let its actions halt, until `is_halting` is False."""
+        """Interrupt the tree: ticks only let its actions halt, until `is_halting` is False."""
         self._is_stopped = True
         halt(self.tree.root)
 
@@ -365,7 +352,7 @@ class TreeRunner:
         try:
             self.tree.shutdown()
         finally:
-            self._forget_progress(lambda action: action.kb.store is None)
+            self._forget_progress(is_shut_down=True)
 
     def _tree_time(self) -> float:
         """Return the time of the clock, without the jumps back [s]."""
@@ -387,10 +374,10 @@ class TreeRunner:
         self._ticks = 0
         return now
 
-    def _forget_progress(self, is_over: Callable[[RosaAction], bool] = lambda action: True) -> None:
-        for behaviour in self.tree.root.iterate():
-            if isinstance(behaviour, RosaAction) and is_over(behaviour):
-                behaviour.forget_progress()
+    def _forget_progress(self, *, keeps_earlier: bool = False, is_shut_down: bool = False) -> None:
+        for action in self.tree.root.iterate():
+            if isinstance(action, RosaAction) and not (is_shut_down and action.kb.store):
+                forget_progress(action.kb, action.name, keeps_earlier=keeps_earlier)
 
 
 def _check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:

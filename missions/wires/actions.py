@@ -52,8 +52,6 @@ class RosAction(RosaAction):
         accept_s: how long the server may take to accept the goal [s].
         silence_s: how long it may give no sign of life [s]; infinity for a server that answers
             nothing while it works.
-        show: returns from the feedback the text to show; by default all numbers and texts of its
-            upper level.
         **options: those of `RosaAction`, e.g. `wait`, and `halting_timeout` for the cancel.
 
     Attributes:
@@ -72,7 +70,6 @@ class RosAction(RosaAction):
         *,
         accept_s: float = TIMEOUT_S,
         silence_s: float = TIMEOUT_S,
-        show: Callable[[Message], str] | None = None,
         **options: Any,  # noqa: ANN401  # those of RosaAction
     ) -> None:
         super().__init__(name, kb, action, **options)
@@ -83,7 +80,6 @@ class RosAction(RosaAction):
         self._message = goal
         self._accept_s = accept_s
         self._silence_s = silence_s
-        self._show = show or _upper_level
         self._goal: Goal | None = None
         self._ping: Future[Message] | None = None
         self._sent_s = self._alive_s = self._asked_s = math.nan
@@ -115,7 +111,7 @@ class RosAction(RosaAction):
             raise RosError(f"{self._server} gives no sign of life for {self._silence_s:g} s")
         if goal.feedback is not self.feedback:
             self.feedback = goal.feedback
-            self.feedback_message = self._show(goal.feedback)
+            self.feedback_message = _upper_level(goal.feedback)
         return Status.RUNNING
 
     def terminate(self, new_status: Status) -> None:
@@ -133,8 +129,7 @@ class RosAction(RosaAction):
         if now >= self._asked_s + _POLL_S:
             self._asked_s = now
             goal.cancel()
-        doubt = "refuses to cancel" if goal.is_cancel_refused else "has not confirmed the cancel"
-        self.feedback_message = f"{self._server} {doubt}"
+        self.feedback_message = f"{self._server} has not confirmed the cancel"
         return Status.RUNNING
 
     def _send(self, now: float) -> Status:

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from kb import EventKind, KnowledgeBase, KnowledgeBaseError
 from missions.engine.mission import Mission, MissionError, needs
-from missions.views.output import plain
 from rosa_pddl import RosaPddlError
 
 if TYPE_CHECKING:
@@ -56,19 +55,21 @@ class Assistant:
         return {"actions": actions, "being done": required}
 
     def what_is_known(self) -> dict[str, Any]:
-        """Say what was measured, and the status of every element of the model."""
+        """Say what was measured, the status of every element, and what is selected and active."""
         kb = self._kb
+        measured = {
+            name: {"value": view.value, "time": view.time, "unit": view.unit}
+            for name, view in kb.attributes.items()
+        }
+        chosen = [*kb.designs.values(), *kb.configurations.values()]
         return {
-            "measured": _shown(kb.attributes, value="value", time="time", unit="unit"),
-            "functions": {name: str(view.status) for name, view in kb.functions.items()},
-            "designs": _shown(kb.designs, status="status", selected="is_selected"),
-            "components": _shown(
-                kb.components,
-                status="status",
-                active="is_active",
-                parameters="parameters_in_force",
-            ),
-            "configurations": _shown(kb.configurations, status="status", selected="is_selected"),
+            "measured": measured,
+            "functions": _statuses(kb.functions),
+            "designs": _statuses(kb.designs),
+            "components": _statuses(kb.components),
+            "configurations": _statuses(kb.configurations),
+            "selected": [view.name for view in chosen if view.is_selected],
+            "active": [name for name, view in kb.components.items() if view.is_active],
         }
 
     def why(self, element: str) -> str:
@@ -137,13 +138,8 @@ class Assistant:
         return {"accepted": True, "reason": ""}
 
 
-def _shown(views: Mapping[str, Any], **attributes: str) -> dict[str, Any]:
-    """Return some attributes of views, each under another name, as JSON has them."""
-    shown = {}
-    for name, view in views.items():
-        values = {key: getattr(view, attribute) for key, attribute in attributes.items()}
-        shown[name] = plain(values)
-    return shown
+def _statuses(views: Mapping[str, Any]) -> dict[str, str]:
+    return {name: str(view.status) for name, view in views.items()}
 
 
 def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServer":

@@ -7,8 +7,6 @@ manager = ConfigurationManager(kb, bridge.managed)
 
 import logging
 import math
-from collections.abc import Iterator
-from contextlib import suppress
 from functools import partial
 from typing import Any, Final
 
@@ -177,7 +175,7 @@ class Bridge:
         problems = self._kb.receive(message, rules=self._rules)
         self.heard += 1
         if self._percepts is not None:
-            self._percepts.receive({"status": list(_statuses(message))})
+            self._percepts.receive({"status": ros.plain_statuses(message)})
         for problem in problems:
             self.refused.add(f"{problem.key}: {problem.reason}")  # one kind, whatever the value
 
@@ -196,14 +194,6 @@ class Bridge:
             self.managed.forget()
             for name in self._stamps:
                 self._make_stale(self._kb.attributes[name])
-
-
-def _statuses(message: Message) -> Iterator[Message]:
-    """Yield the statuses of a DiagnosticArray with their values as a dict; skip malformed ones."""
-    for status in message.get("status") or ():
-        with suppress(*NONSENSE):
-            values = {str(pair["key"]): str(pair["value"]) for pair in status["values"]}
-            yield {"message": str(status["message"]), "values": values}
 
 
 def _place(attribute: str, text: str) -> tuple[str, list[str], str]:

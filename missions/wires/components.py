@@ -33,7 +33,6 @@ class _Watch:
         alive_s: when it was last asked with success [s]; infinity before.
         poll: the open call for its state, one at a time.
         commands: the commands under way, during which it is not polled.
-        silence: why a command found that it does not answer.
         is_published: whether somebody publishes its transitions.
         is_changing: whether one was published since it was asked.
     """
@@ -45,7 +44,6 @@ class _Watch:
     asked_s: float = -math.inf
     poll: Reply | None = None
     commands: set[Future[None]] = field(default_factory=set)
-    silence: str = ""
     is_published: bool = False
     is_changing: bool = False
     is_lost: bool = False
@@ -150,11 +148,8 @@ class RosComponents:
             watch.alive_s = min(watch.alive_s, now)
             count = self._publishers(watch)
             if watch.is_published and count == 0:
-                watch.silence = f"{watch.place} is gone"
+                self._lose(component, watch, f"{watch.place} is gone")
             watch.is_published = bool(count)
-            if watch.silence and not watch.is_lost:
-                self._lose(component, watch, watch.silence)
-            watch.silence = ""
             if watch.commands:
                 continue
             if watch.poll is not None and watch.poll.done():
@@ -186,8 +181,7 @@ class RosComponents:
         try:
             state = _state_of(watch, poll.result())
         except RosError as error:
-            if not watch.is_lost:
-                self._lose(component, watch, str(error))
+            self._lose(component, watch, str(error))
             return
         was_active = watch.state == _ACTIVE
         watch.state = state
@@ -203,6 +197,8 @@ class RosComponents:
                 self._kb.component_failed(component, reason)
 
     def _lose(self, component: str, watch: _Watch, reason: str) -> None:
+        if watch.is_lost:
+            return
         _log.warning("%s has failed: %s", component, reason)
         watch.is_lost = True
         watch.state = None
@@ -221,7 +217,7 @@ class RosComponents:
         try:
             answer = yield self._state_call(watch)
         except Unanswered as error:
-            watch.silence = str(error)
+            self._lose(component, watch, str(error))
             raise
         state = watch.state = _state_of(watch, answer)
         watch.alive_s = asked_s

@@ -48,8 +48,8 @@ _LARGEST_RECORD: Final = 2**30
 _CHUNK_BYTES: Final = 2**16
 WAITING: Final = 100_000
 """How many messages may wait to be written; with more, the recording ends."""
-PATIENCE_S: Final = 10.0
-"""How long one message may take to be written when a file is closed [s]."""
+PATIENCE_S: Final = 60.0
+"""How long the queued messages may take to be written when a file is closed [s]."""
 _LOGGED: Final = (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)
 """The kinds of events that are on `/rosa/log`, besides failures of components."""
 _log = logging.getLogger(__name__)
@@ -66,24 +66,22 @@ class Raw(NamedTuple):
 
 
 class _Records:
-    """Writes the records of an MCAP file: messages, and each type and topic once."""
+    """Writes the records of an MCAP file: messages, and each topic with its type once."""
 
     def __init__(self, file: BinaryIO, *, use_chunking: bool) -> None:
         from mcap.writer import Writer
 
         self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
         self._writer: Any = Writer(file, chunk_size=_CHUNK_BYTES, use_chunking=use_chunking)
         self._writer.start(profile="ros2", library="rosa-taca")
         self.finish: Callable[[], object] = self._writer.finish
 
     def add(self, message: Raw) -> None:
         topic, kind, definition, stamp, data = message
-        if kind not in self._schemas:
-            text = definition or ros.types().definition(kind)
-            self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
         if topic not in self._channels:
-            self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[kind])
+            text = definition or ros.types().definition(kind)
+            schema = self._writer.register_schema(kind, "ros2msg", text.encode())
+            self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
         self._writer.add_message(self._channels[topic], stamp, data, stamp)
 
 
@@ -160,13 +158,10 @@ class McapFile:
             MissionError: a message could not be written; the file holds those before it.
         """
         self._queue.put(None)
-        waiting = -1
-        while self._thread.is_alive() and self.waiting != waiting:
-            waiting = self.waiting
-            self._thread.join(PATIENCE_S)
+        self._thread.join(PATIENCE_S)
         try:
             if self._thread.is_alive():
-                raise self._error or OSError(f"the disk does not answer, {waiting} messages wait")
+                raise self._error or OSError("the disk does not answer")
             if self._file.closed:
                 return
             with self._file:
@@ -382,7 +377,8 @@ def read_bag(path: str | Path) -> Bag:
         counts[raw.topic, raw.kind] += 1
         try:
             if raw.kind == ros.DIAGNOSTICS:
-                diagnostics.append((raw.stamp, ros.statuses_of(raw.data)))
+                array = ros.types().decode(raw.kind, raw.data)
+                diagnostics.append((raw.stamp, ros.plain_statuses(array)))
             elif raw.topic in (EVENTS, ROWS, RUN):
                 content = json.loads(ros.types().decode(ros.STRING, raw.data)["data"])
                 time_s = _add(bag, raw.topic, content, path)

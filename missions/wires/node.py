@@ -93,7 +93,6 @@ class Goal(ABC):
         feedback: the latest one.
         signs: how many messages about it came.
         error: why no result will come.
-        is_cancel_refused: whether the server is known to have refused to cancel it.
     """
 
     action: str
@@ -103,7 +102,6 @@ class Goal(ABC):
     feedback: Message = field(default_factory=dict)
     signs: int = 0
     error: str = ""
-    is_cancel_refused: bool = False
 
     @property
     def is_over(self) -> bool:

@@ -95,7 +95,7 @@ class RclpyGoal(Goal):
     def cancel(self) -> None:
         self.is_unwanted = True
         if self.handle is not None and not self.is_over:
-            self.when(self.handle.cancel_goal_async(), self._on_cancel)
+            self.handle.cancel_goal_async()
 
     def on_response(self, handle: Any) -> None:  # noqa: ANN401  # an object of rclpy
         if not handle.accepted:
@@ -114,10 +114,6 @@ class RclpyGoal(Goal):
     def _on_result(self, answer: Any) -> None:  # noqa: ANN401  # an object of rclpy
         self.result = to_message(answer.result)
         self._progress(answer.status)
-
-    def _on_cancel(self, answer: Any) -> None:  # noqa: ANN401  # an object of rclpy
-        # its return code is 0 even when the cancel is refused
-        self.is_cancel_refused = not answer.goals_canceling
 
     def when(self, future: Any, act: Callable[[Any], None]) -> None:  # noqa: ANN401  # of rclpy
         """Call a function with the result of a future when it is there."""

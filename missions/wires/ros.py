@@ -243,10 +243,10 @@ def diagnostics(time_s: float, array: Any) -> Message:  # noqa: ANN401  # in any
     return {"header": _header(time_s, ""), "status": statuses}
 
 
-def statuses_of(data: bytes) -> list[Message]:
-    """Return a DiagnosticArray's statuses: name, message, values; level unless it is 0."""
+def plain_statuses(array: Message) -> list[Message]:
+    """Return the statuses of a DiagnosticArray: name, message, values; level unless it is 0."""
     statuses = []
-    for status in types().decode(DIAGNOSTICS, data)["status"]:
+    for status in array["status"]:
         values = {pair["key"]: pair["value"] for pair in status["values"]}
         fields = {"name": status["name"], "message": status["message"], "values": values}
         statuses.append(fields | ({"level": status["level"]} if status["level"] else {}))

@@ -76,40 +76,30 @@ class Connection:
 
     def start(self, on_end: Callable[[str], object]) -> None:
         """Run it in a thread of its own, and call a function with the reason when it has ended."""
-
-        def run() -> None:
-            try:
-                on_end(self.run())
-            except Exception as error:  # it could not be opened
-                on_end(_words(error))
-
-        Thread(target=run, name="rosbridge", daemon=True).start()
+        Thread(target=lambda: on_end(self.run()), name="rosbridge", daemon=True).start()
 
     def run(self, on_open: Callable[[Any], object] = lambda _: None) -> str:
         """Connect and read until the connection ends; return the reason in words, empty if closed.
 
         Args:
             on_open: called with the WebSocket before anything is sent.
-
-        Raises:
-            Exception: it cannot be opened.
         """
-        with self._link() as socket:
-            self._socket = socket
-            if self._is_closed:  # while it was being opened
-                return ""
-            try:
+        try:
+            with self._link() as socket:
+                self._socket = socket
+                if self._is_closed:  # while it was being opened
+                    return ""
                 on_open(socket)
                 Thread(target=self._write, args=[socket], name="ros-send", daemon=True).start()
                 for text in socket:
                     self._on_message(text)
-            except Exception as error:  # also of a connection that was cut
-                return _words(error)
-            finally:
-                with self._news:
-                    self._socket = None
-                    self._news.notify_all()
-            return ""
+        except Exception as error:  # refused, unknown host, no WebSocket, wrong token, cut
+            return str(error) or type(error).__name__
+        finally:
+            with self._news:
+                self._socket = None
+                self._news.notify_all()
+        return ""
 
     def close(self) -> None:
         """Send the queued messages for at most a second, then close for good."""
@@ -222,8 +212,14 @@ class Rosbridge(Node):
             raise MissionError(f"{url!r} is not the address of a rosbridge; write ws://HOST:{PORT}")
         super().__init__(clock)
         headers = {"Authorization": f"Bearer {token}"} if token else {}
-        limits: Any = {"max_size": _LARGEST, "open_timeout": 5, "close_timeout": 1}
-        self._link = lambda: connect(url, additional_headers=headers, **limits)
+        self._link = partial(
+            connect,
+            url,
+            additional_headers=headers,
+            max_size=_LARGEST,
+            open_timeout=5,
+            close_timeout=1,
+        )
         self._url = url
         self._declarations: list[Message] = []
         self._hearers = defaultdict[str, list[Heard]](list)
@@ -330,19 +326,18 @@ class Rosbridge(Node):
     def _run(self) -> None:
         wait_s = _FIRST_WAIT_S
         while not self._closing.is_set():
-            try:
-                reason = self._main.run(self._begin)
-            except Exception as error:  # refused, unknown host, no WebSocket, wrong token
-                text = f"no connection to {self._url}: {_words(error)}"
-                again = f"it tries again, at last every {_LONGEST_WAIT_S:g} s"
-                question = "Is a rosbridge running there, and is the address (--url) right?"
-                self._report(False, f"{text}; {again}. {question}")
-                self._closing.wait(wait_s)
-                wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
-                continue
-            wait_s = _FIRST_WAIT_S
-            if not self._closing.is_set():
+            reason = self._main.run(self._begin)
+            if self._closing.is_set():
+                return
+            if self.is_connected:
+                wait_s = _FIRST_WAIT_S
                 self._report(False, f"the connection to {self._url} has ended {reason}".rstrip())
+                continue
+            again = f"it tries again, at last every {_LONGEST_WAIT_S:g} s"
+            question = "Is a rosbridge running there, and is the address (--url) right?"
+            self._report(False, f"no connection to {self._url}: {reason}; {again}. {question}")
+            self._closing.wait(wait_s)
+            wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
 
     def _begin(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
         with self._lock:
@@ -357,12 +352,17 @@ class Rosbridge(Node):
             for hearer in self._hearers[message["topic"]]:
                 self._hand_on(message.get("msg", {}), hearer)
         elif message["op"] == "service_response":
-            self._end_call(self._calls[message["id"]], _answer(message))
+            call = self._calls[message["id"]]
+            values = message.get("values")
+            if message.get("result", True) and isinstance(values, dict):
+                self._end_call(call, values)
+            else:
+                self._end_call(call, RosError(f"{call.service} failed: {values}"))
         elif message["op"] == "call_service":
             service = message["service"]
-            answer = {"values": self._answers[service](message.get("args", {})), "result": True}
+            values = self._answers[service](message.get("args", {}))
             about = {"op": "service_response", "id": message.get("id"), "service": service}
-            self._main.send({**about, **answer})
+            self._main.send({**about, "values": values, "result": True})
 
     def _see(self, action: str, message: Message) -> None:
         """Tell the goals of an action which goals its server has."""
@@ -376,10 +376,6 @@ class Rosbridge(Node):
         self._live[action] = live
 
 
-def _words(error: Exception) -> str:
-    return str(error) or type(error).__name__
-
-
 def _read(text: str | bytes) -> Message:
     if isinstance(text, bytes):
         raise ValueError("binary messages are not accepted; send JSON (compression none)")
@@ -387,10 +383,3 @@ def _read(text: str | bytes) -> Message:
     if not isinstance(message, dict):
         raise ValueError("a message must be an object")
     return message
-
-
-def _answer(message: Message) -> Message | RosError:
-    values = message.get("values")
-    if message.get("result", True) and isinstance(values, dict):
-        return values
-    return RosError(f"{message.get('service', 'the service')} failed: {values}")

@@ -12,12 +12,10 @@ from py_trees.behaviour import Behaviour
 from rosa_bt.decorators import Clock, ClockFollower
 from rosa_bt.exceptions import RosaBtError, XmlError, hint, in_words
 from rosa_bt.xml.blackboard import Blackboard, Ports
-from rosa_bt.xml.document import MODELS, Document
-from rosa_bt.xml.elements import EXPLICIT, MAX_DEPTH, Element
+from rosa_bt.xml.document import EXPLICIT, MARKS, MAX_DEPTH, MODELS, Document, Element
 from rosa_bt.xml.nodes import MAX_NODES, NODES, RULES, Branch, Rules, Slot, is_plain
 from rosa_bt.xml.registry import BehaviourRegistry, Entry
 from rosa_bt.xml.values import BOOLS
-from rosa_bt.xml.version_3 import MARKS
 
 _QUOTED: Final = re.compile(r"""'[^']*'|"[^"]*\"""")
 _OF_EDITORS: Final = ("_autoremap", "_collapsed", "_description", "_fullpath", "_uid")
@@ -194,7 +192,8 @@ class _Builder:
             return f'<{tag}> is a tree; write <SubTree ID="{tag}"/>'
         near = get_close_matches(tag, [*NODES, "SubTree"], 1)
         guess = f"did you mean the node {near[0]!r}? " if near else ""
-        return f"<{tag}> is unknown; {guess}{hint(tag, self._registry.entries, 'registered behaviours')}"
+        known = hint(tag, self._registry.entries, "registered behaviours")
+        return f"<{tag}> is unknown; {guess}{known}"
 
     def _rules(self, element: Element) -> dict[str, str]:
         """Return the rules of an element.
@@ -215,7 +214,7 @@ class _Builder:
         return rules
 
     def _convert_quotes(self, element: Element, name: str) -> None:
-        """Write the texts of a script in single quotes, as BehaviorTree.CPP wants them since 4.9."""
+        """Write the texts of a script in single quotes, as is wanted since 4.9."""
         before = element.attrib[name]
         after = _QUOTED.sub(_single_quoted, before)
         if after != before:

@@ -1,4 +1,4 @@
-"""Registers behaviours under the names that files use, and makes them, with arguments and ports from attributes."""
+"""Registers behaviours under the names that files use, and makes them of attributes."""
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +13,6 @@ from rosa_bt.behaviours import ActionBehaviour, HasStatus, IsActionFeasible, Mea
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction, Retry, UntilSuccess
 from rosa_bt.exceptions import RegistryError
-from rosa_bt.xml import nav2
 from rosa_bt.xml.blackboard import Blackboard, Declared, PortError, Ports, key_of, ports_of
 from rosa_bt.xml.nodes import MAX_NODES, NODES, Branch
 
@@ -22,7 +21,19 @@ F = TypeVar("F", bound=Factory)
 Kind = Literal["action", "condition"]
 
 _FORMS: Final = ("Action", "BehaviorTree", "Condition", "Control", "Decorator", "SubTree", "root")
-_OF_NAV2: Final = {tag for tag, kind in NODES.items() if kind.__module__ == nav2.__name__}
+_OF_NAV2: Final = frozenset(
+    [
+        "GoalUpdatedController",
+        "NonblockingSequence",
+        "PauseResumeController",
+        "PersistentSequence",
+        "PipelineSequence",
+        "RateController",
+        "RecoveryNode",
+        "RoundRobin",
+        "SingleTrigger",
+    ]
+)
 BUILT_IN: Final = frozenset({*NODES, *_FORMS}) - _OF_NAV2
 """Names that cannot be registered; those of Nav2 can, since its releases differ."""
 _ROLES: Final = frozenset({"name", "child", "children", "blackboard", "behaviour_class_name"})
@@ -78,7 +89,7 @@ class Entry:
         board: Blackboard,
         note: Callable[[str], object],
     ) -> Behaviour:
-        """Make the behaviour; raise PortError if an attribute is unknown, missing, or of a wrong type."""
+        """Make the behaviour; raise if an attribute is unknown, missing, or of a wrong type."""
         literals, keys = self._divided(written)
         offered = {**self.bound, "name": name, "children": list(branches), "blackboard": board}
         if branches:
@@ -112,7 +123,7 @@ class Entry:
         return behaviour
 
     def _divided(self, written: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
-        """Return the attributes that are arguments: those with a literal, and those with a key."""
+        """Return the attributes that are arguments, with a literal and with a key."""
         literals = dict[str, str]()
         keys = dict[str, str]()
         for name, argument in self.arguments.items():
@@ -134,7 +145,7 @@ class Entry:
 
 
 def _read_at_start(behaviour: Behaviour, ports: Ports, declared: Declared) -> None:
-    """Let a behaviour read its attributes that are keys, each time before `initialise` is called."""
+    """Let a behaviour read its attributes that are keys before each `initialise`."""
     initialise = behaviour.initialise
     names = ports.keys.keys() - declared.keys()
 
@@ -148,7 +159,7 @@ def _read_at_start(behaviour: Behaviour, ports: Ports, declared: Declared) -> No
 
 
 def _check_action(leaf: ActionBehaviour, ports: Ports) -> None:
-    """Raise now, not during a mission, if the action is missing, given twice, or not in the model."""
+    """Raise now if the action is missing, given twice, or not in the model."""
     name = ports.literals.get("action")
     if leaf.named_action is None and "action" not in {*ports.keys, *ports.literals}:
         raise PortError("'action' is missing; write action=... in the element")
@@ -174,7 +185,7 @@ def _safe_switch(
     if len(steps) != len(after):
         raise RegistryError("it takes a child for each action in `after`, and the task")
     transitions = dict(zip(after, steps, strict=True))
-    return SafeSwitch(name, task, transitions, blackboard, action, "@last_action")
+    return SafeSwitch(name, task, transitions, blackboard.root, action)
 
 
 _ALWAYS: Final[Mapping[str, Factory]] = {"Retry": Retry, "UntilSuccess": UntilSuccess}
@@ -260,7 +271,7 @@ class BehaviourRegistry:
         return factory
 
     def name_of(self, behaviour: Behaviour) -> str | None:
-        """Return the name under which the class is registered, or the behaviour's own if a function has that name."""
+        """Return the name of its class, or its own if a function is registered under that."""
         for name, entry in self.entries.items():
             if entry.factory is type(behaviour):
                 return name

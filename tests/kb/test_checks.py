@@ -1,4 +1,4 @@
-"""The judge of models, tried on models that are broken on purpose, on sound ones and on random ones."""
+"""The checks of models, tried on broken, sound and random models."""
 
 from itertools import product
 from pathlib import Path
@@ -26,7 +26,8 @@ def sound():
     camera = model.component("camera", kind="lifecycle")
     camera.configuration("day", {"exposure": 0.01}, priority=1, constraints=[light >= 0.5])
     camera.configuration("night", {"exposure": 0.2}, priority=2)
-    lamp, sonar = model.component("lamp"), model.component("sonar")
+    lamp = model.component("lamp")
+    sonar = model.component("sonar")
     see = model.function("see")
     see.design("by camera", [camera], priority=1)
     see.design("by sonar", [lamp, sonar], priority=2)
@@ -299,7 +300,7 @@ def test_root_is_found_and_not_what_is_between():
     for number in range(6):
         model.action(f"look {number}", requires=["see"])
     errors = [one for one in model.check() if one.severity is Severity.ERROR]
-    assert [(one.code, one.element) for one in errors] == [
+    assert [(error.code, error.element) for error in errors] == [
         ("contradictory-constraints", "configuration day"),
         ("contradictory-constraints", "configuration night"),
     ]
@@ -321,7 +322,8 @@ def test_finding_is_one_line():
 def test_finding_about_a_file_has_its_place(tmp_path):
     path = tmp_path / "rover.tql"
     path.write_text(
-        "insert\n  $a isa Action, has action-name 'go';\n  $f isa Function, has function-name 'move';\n"
+        "insert\n  $a isa Action, has action-name 'go';\n"
+        "  $f isa Function, has function-name 'move';\n"
     )
     places = {one.code: one.place for one in Model.load(path).check()}
     assert places["function-without-designs"].startswith(f"{path}:3:")
@@ -360,12 +362,12 @@ def test_too_many_alternatives_are_no_finding():
 def test_check_of_any_model_is_repeatable(model, names):
     findings = model.check(names)
     assert findings == model.check(names)
-    for one in findings:
-        rule = rules()[one.code]
-        assert (one.severity, one.advice) == (rule.severity, rule.advice)
-        assert one.element
-        assert "\n" not in str(one)
-    assert sorted(findings, key=lambda one: one.severity != "error") == list(findings)
+    for finding in findings:
+        rule = rules()[finding.code]
+        assert (finding.severity, finding.advice) == (rule.severity, rule.advice)
+        assert finding.element
+        assert "\n" not in str(finding)
+    assert sorted(findings, key=lambda finding: finding.severity != "error") == list(findings)
 
 
 def measured(model):

@@ -76,7 +76,9 @@ def test_mission_is_read_by_others_in_declared_words(name):
     assert used <= declared
     assert {str(word).removeprefix(ROSA) for word in declared if ROSA in str(word)} == WORDS
     actions = graph.subjects(rdflib.RDF.type, rdflib.URIRef(f"{ROSA}Action"))
-    assert {str(*graph.objects(one, rdflib.RDFS.label)) for one in actions} == set(model.actions)
+    assert {str(*graph.objects(action, rdflib.RDFS.label)) for action in actions} == set(
+        model.actions
+    )
 
 
 def test_names_that_differ_little_stay_different(tmp_path):
@@ -219,7 +221,7 @@ def test_model_that_changes_is_the_one_that_is_asked():
 
 
 def test_what_goes_on_is_told_though_its_events_are_forgotten(monkeypatch):
-    monkeypatch.setattr("kb.events._MOST", 100)
+    monkeypatch.setattr("kb.records._MOST_EVENTS", 100)
     clock = Clock(1.0)
     kb = KnowledgeBase(robot(), clock=clock)
     kb.measure("light", 0.9)
@@ -299,7 +301,7 @@ def test_life_is_told_in_declared_words_without_contradiction(tmp_path):
 def test_objects_of_owlready2_are_brought_up_to_date():
     kb = KnowledgeBase(robot(), clock=Clock(1.0))
     rosa = kb.ontology.get_namespace(ROSA)
-    (rest,) = [one for one in rosa.Action.instances() if one.rosa_name == "rest"]
+    (rest,) = [instance for instance in rosa.Action.instances() if instance.rosa_name == "rest"]
     assert rest.status == "feasible"
     kb.assert_status("rest", "unfeasible", "holiday")
     assert kb.ontology is not None
@@ -307,7 +309,8 @@ def test_objects_of_owlready2_are_brought_up_to_date():
 
 
 def test_two_bases_do_not_see_each_other():
-    one, other = KnowledgeBase(robot()), KnowledgeBase(Model("other"))
+    one = KnowledgeBase(robot())
+    other = KnowledgeBase(Model("other"))
     one.component_failed("camera")
     assert one.query("SELECT ?f { ?f a :Failure }")
     assert not other.query("SELECT ?x { ?x a :Action }")
@@ -324,10 +327,10 @@ def test_threads_that_tell_and_ask_get_complete_answers():
             found.append(kb.query("SELECT (COUNT(?m) AS ?n) { ?m a :Measurement }")[0][0])
 
     threads = [threading.Thread(target=ask) for _ in range(4)]
-    for one in threads:
-        one.start()
-    for one in threads:
-        one.join()
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
     assert len(found) == 20
     assert kb.query("SELECT (COUNT(?m) AS ?n) { ?m a :Measurement }") == [(20,)]
 
@@ -343,7 +346,7 @@ QUESTIONS = [
     "SELECT DISTINCT ?n { ?c rdfs:subClassOf* :Element . ?x a ?c ; :name ?n }",
     "SELECT ?c { ?c rdfs:subClassOf+ :Fact }",
     "SELECT ?n { { ?x a :Action } UNION { ?x a :Function } ?x :name ?n }",
-    "SELECT ?n ?s { ?x a :Component ; :name ?n OPTIONAL { ?f a :Failure ; :about ?x ; :start ?s } }",
+    "SELECT ?n ?s { ?x :name ?n OPTIONAL { ?f a :Failure ; :about ?x ; :start ?s } }",
     "SELECT ?n (COUNT(?m) AS ?c) { ?m :measures ?a . ?a :name ?n } GROUP BY ?n"
     " HAVING (COUNT(?m) > 1)",
     "SELECT (SUM(?v) AS ?sum) (MIN(?v) AS ?least) (MAX(?v) AS ?most) { ?m :value ?v ; :time ?t }",

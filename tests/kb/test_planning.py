@@ -3,13 +3,12 @@
 import pytest
 
 from kb import KnowledgeBase, Model, OptimalPlanner, PriorityPlanner
-from kb.planning import decide
 
 PLANNERS = [PriorityPlanner(), OptimalPlanner()]
 
 
 def switching_rover():
-    """By camera, which is asserted required and can be improved, until its design becomes unfeasible."""
+    """Return a rover that sees by a camera, which is asserted required and can be improved."""
     model = Model("rover")
     light = model.quality_attribute("light")
     model.quality_attribute("power")
@@ -47,9 +46,9 @@ def test_decision_changes_nothing_and_names_all_that_follows():
     before = kb.log.last
     with kb.reading() as state:
         chosen = [state.network.designs["by lidar"]]
-        selection = decide(state, chosen)
+        selection = state.decide(chosen)
         assert [node.name for node in selection.flips] == ["by camera", "by lidar"]
-        assert decide(state, chosen) == selection
+        assert state.decide(chosen) == selection
     assert (selection.activate, selection.deactivate) == (("lidar",), ("camera",))
     assert kb.log.last == before
     assert kb.designs["by camera"].is_selected

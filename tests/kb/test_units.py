@@ -1,4 +1,4 @@
-"""Attributes that state a unit and a range: what is outside is refused, and every reason shows the unit."""
+"""Attributes with a unit and a range: what is outside is refused, and reasons show the unit."""
 
 import math
 
@@ -98,11 +98,11 @@ def test_what_is_no_unit_or_range_is_refused(given, said):
 @pytest.mark.parametrize(
     ("constraint", "said"),
     [
-        (lambda one: one >= 20, "is never satisfied: battery_voltage is from 0 to 17 V"),
-        (lambda one: one < 0, "is never satisfied"),
-        (lambda one: one >= -1, "is never violated"),
-        (lambda one: one <= 17, "is never violated"),
-        (lambda one: one >= 16, ""),
+        (lambda name: name >= 20, "is never satisfied: battery_voltage is from 0 to 17 V"),
+        (lambda name: name < 0, "is never satisfied"),
+        (lambda name: name >= -1, "is never violated"),
+        (lambda name: name <= 17, "is never violated"),
+        (lambda name: name >= 16, ""),
     ],
 )
 def test_the_judge_warns_of_a_constraint_that_the_range_decides(constraint, said):

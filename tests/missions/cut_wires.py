@@ -1,10 +1,9 @@
-"""A wire that is cut at random while requests and events go over it, and what came of them."""
+"""Connections that are cut at random while requests and events go over them."""
 
 import random
-import socket
 import threading
 import time
-from contextlib import suppress
+from contextlib import closing
 from typing import NamedTuple
 
 from ros_rig import until
@@ -22,53 +21,10 @@ class Outcome(NamedTuple):
     doubled: int
 
 
-class Wire:
-    """Passes on bytes to another port, until it is cut; then it passes on anew."""
-
-    def __init__(self, port):
-        self._to, self._sockets = port, []
-        self._listening = socket.create_server(("127.0.0.1", 0))
-        self.port = self._listening.getsockname()[1]
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def _accept(self):
-        with suppress(OSError):
-            while True:
-                near, _ = self._listening.accept()
-                far = socket.create_connection(("127.0.0.1", self._to))
-                self._sockets += [near, far]
-                for pair in ((near, far), (far, near)):
-                    threading.Thread(target=self._pass_on, args=pair, daemon=True).start()
-
-    def _pass_on(self, source, target):
-        with suppress(OSError):
-            while data := source.recv(4096):
-                target.sendall(data)
-        for end in (source, target):
-            with suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)  # wakes who receives
-            end.close()
-
-    def cut(self):
-        while self._sockets:
-            with suppress(OSError):
-                self._sockets.pop().shutdown(socket.SHUT_RDWR)
-
-    def close(self):
-        with suppress(OSError):
-            self._listening.shutdown(socket.SHUT_RDWR)  # wakes who accepts
-        self._listening.close()
-        self.cut()
-
-
 def requests_through_cuts(seed, *, cuts):
-    """Have a node request and publish over a wire that is cut so many times, at random."""
-    rng, server = random.Random(seed), RosbridgeDouble()
+    """Have a node request and publish while all its connections are cut so many times."""
+    rng, stop = random.Random(seed), threading.Event()
     arrived, heard, acknowledged = [], [], []
-    server.serve("/do", "x", lambda request: arrived.append(request["number"]) or request)
-    server.subscribe("/events", "", lambda message: heard.append(message["number"]))
-    wire, stop = Wire(server.port), threading.Event()
-    node = Rosbridge(f"ws://127.0.0.1:{wire.port}")
 
     def request():
         number = 0
@@ -85,17 +41,16 @@ def requests_through_cuts(seed, *, cuts):
         until(lambda: len(acknowledged) >= after + 3)
 
     thread = threading.Thread(target=request)
-    thread.start()
-    try:
+    with closing(RosbridgeDouble()) as host, closing(Rosbridge(host.url)) as node:
+        host.serve("/do", "x", lambda request: arrived.append(request["number"]) or request)
+        host.subscribe("/events", "", lambda message: heard.append(message["number"]))
+        thread.start()
         for _ in range(cuts):
             wait()
             time.sleep(rng.uniform(0.0, 0.05))
-            wire.cut()
+            host.cut()
         wait()
-    finally:
         stop.set()
         thread.join()
-        for part in (node, wire, server):
-            part.close()
     doubled = sum(len(numbers) - len(set(numbers)) for numbers in (arrived, heard))
     return Outcome(len(acknowledged), len(set(acknowledged) - set(arrived)), doubled)

@@ -7,7 +7,7 @@ import pytest
 from xml_leaves import registry_of, wrapped
 
 from rosa_bt import RosaBtError, XmlError, load_xml
-from rosa_bt.xml.elements import MAX_DEPTH, MAX_SIZE
+from rosa_bt.xml.document import MAX_DEPTH, MAX_SIZE
 from rosa_bt.xml.nodes import MAX_NODES
 
 LEAVES = {"a": ("A", "S"), "b": ("A", "RS"), "ok": ("C", "S")}
@@ -31,7 +31,7 @@ def root(*content, main=""):
 
 
 REFUSED = {
-    "<aa/>": "<text>:2: <aa> is unknown; did you mean 'a'? registered behaviours: Retry, UntilSuccess",
+    "<aa/>": "<aa> is unknown; did you mean 'a'? registered behaviours: Retry, UntilSuccess",
     "<Sequense><a/></Sequense>": "did you mean the node 'Sequence'",
     "<Other/>": '<Other> is a tree; write <SubTree ID="Other"/>',
     "<SubTreePlus ID='Other'/>": '<SubTreePlus> is of version 3; write BTCPP_format="3"',
