@@ -261,7 +261,7 @@ class Rig(VisitorBase):
         for name in self.environment.values:
             view = kb.attributes[name]
             value = STALE if view.is_stale else view.value
-            values.append(self.environment.representative(name, value))
+            values.append((name, self.environment.representative(name, value)))
         components = kb.components.items()
         selectable = [*kb.designs.values(), *kb.configurations.values()]
         requested = [(each.action, str(each.preference or "")) for each in kb.required_actions]
@@ -285,10 +285,8 @@ class Rig(VisitorBase):
             kb.cancel_action(action)
         for name in present.failed - facts.failed:
             kb.component_recovered(name)
-        names = self.environment.values
-        for name, value, before in zip(names, facts.values, present.values, strict=True):
-            if value != before:
-                measure(kb, name, value)
+        for name, value in {*facts.values} - {*present.values}:
+            measure(kb, name, value)
         for name in facts.failed - present.failed:
             kb.component_failed(name)
         for name in present.active ^ facts.active:

@@ -214,7 +214,7 @@ def _consequence(explored: Exploration, bad: Sequence[Change], caused: set[int])
     """Return what is reached with these facts; a quality that a deed restores need not last."""
     failed = {change.name for change in bad if change.to is True}
     worst = {change.name: change.to for change in bad if change.to is not True}
-    values = {number: explored.values(number) for number in caused}
+    values = {number: dict(explored.situations[number].facts.values) for number in caused}
     alone = {number for number in caused if explored.situations[number].facts.failed == failed}
     within = {number for number in alone if worst.items() <= values[number].items()}
     rounds = [each for each in explored.following(0) if each.is_caused]
