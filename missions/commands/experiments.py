@@ -28,7 +28,7 @@ def campaign(
         bool, typer.Option("--paper-table", help="The table of the ROSA paper: 100 runs each.")
     ] = False,
     runs: Annotated[
-        int | None, typer.Option(help="How many of each, whatever the file says.")
+        int | None, typer.Option(min=1, help="How many of each, whatever the file says.")
     ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes on this machine; default: all cores.")
