@@ -1,18 +1,17 @@
 """A PDDL domain with its problem, in the names of the files: actions, formulas, objects, initial facts.
 
 A formula is a tuple. Its first item says what it is:
-`("atom", name, terms)`, `("same", term, term)`, `("in", term, types)`, `("not", formula)`,
-`("and" | "or", formula, ...)`, `("forall" | "exists", variables, formula)`, and comparisons
-`("<" | "<=" | "=", number, number)`. A number is exact, or `("n", name, terms)`, or an operator
+`("atom", name, terms)`, `("same", term, term)`, `("not", formula)`, `("and" | "or", formula, ...)`,
+`("forall" | "exists", variables, formula)`, and comparisons `("<" | "<=" | "=", number, number)`. A number is exact, or `("n", name, terms)`, or an operator
 with its parts, such as `("+", 1, 2)`. A term is an object, or a variable such as `?x`.
 """
 
+import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from itertools import product
-from math import inf
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 from rosa_pddl.exceptions import PddlError, UnknownNameError, UnknownObjectError, nearest
@@ -42,6 +41,17 @@ FALSE: Formula = ("or",)
 
 # Below this, a float without a fraction is exactly the whole number that was written.
 _ALL_WHOLE = 2**53
+
+
+OPERATORS: Mapping[str, Callable[[Any, Any], Any]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": lambda left, right: exact(Fraction(left) / right),
+    "<": operator.lt,
+    "<=": operator.le,
+    "=": operator.eq,
+}
 
 
 class Feasibility(Protocol):
@@ -104,8 +114,7 @@ class Signature(NamedTuple):
         return tuple(kind for _, kind in self.variables)
 
     def __str__(self) -> str:
-        words = [f"{variable} - {kind}" for variable, kind in self.variables]
-        return atom_text(self.name, words)
+        return atom_text(self.name, filter(None, [variables_text(self.variables)]))
 
 
 @dataclass(frozen=True)
@@ -131,10 +140,20 @@ class Schema:
     action: str | None = None
     duration: tuple[Number, Number] | None = None
 
-    def with_effects(self, change: Callable[[Effect], Effect]) -> "Schema":
-        """Return the action with each effect changed."""
-        starts = tuple(map(change, self.start_effects))
-        return replace(self, start_effects=starts, end_effects=tuple(map(change, self.end_effects)))
+    @property
+    def variables(self) -> Variables:
+        """The parameters as variables: with `?`."""
+        return tuple((f"?{name}", kind) for name, kind in self.parameters)
+
+    def with_effects(self, change: Callable[[Effect], Effect | None]) -> "Schema":
+        """Return the action with each effect changed, or left out."""
+        starts = tuple(filter(None, map(change, self.start_effects)))
+        ends = tuple(filter(None, map(change, self.end_effects)))
+        return replace(self, start_effects=starts, end_effects=ends)
+
+    def effects_at(self, is_end: bool) -> tuple[Effect, ...]:
+        """Return the effects at the start or at the end."""
+        return self.end_effects if is_end else self.start_effects
 
     @property
     def conditions(self) -> tuple[Formula, ...]:
@@ -247,18 +266,17 @@ class Domain:
         if self.rosa_actions and not self.feasibility:
             text = "there are objects of type action but no predicate"
             raise PddlError(f"{text} ({FEASIBLE} ?a - action) to ask for", self.file, 1)
-        for action in self.rosa_actions:
-            if action not in kb.actions:
-                file, line = self.places.get(("object", action), (self.file, 0))
-                message = f"the knowledge base does not know the action {action!r}"
-                hint = nearest(action, kb.actions)
-                raise PddlError(f"{message}; {hint}", file, line or None)
         findings = list(self.oversights)
         for name in kb.actions:
             if name not in self.rosa_actions:
                 text = f"the action {name!r} of the knowledge base is never planned"
                 findings.append(f"{text}: {self.file}")
         for action in self.rosa_actions:
+            if action not in kb.actions:
+                file, line = self.places.get(("object", action), (self.file, 0))
+                message = f"the knowledge base does not know the action {action!r}"
+                hint = nearest(action, kb.actions)
+                raise PddlError(f"{message}; {hint}", file, line or None)
             if not any(self.may_do(schema, action) for schema in self.schema_of.values()):
                 findings.append(f"no PDDL action of {self.file} does the ROSA action {action!r}")
         return tuple(findings)
@@ -287,22 +305,15 @@ class Domain:
         """Names of the PDDL actions, in the order of the file."""
         return tuple(self.schema_of)
 
-    @property
-    def is_temporal(self) -> bool:
-        """Whether an action takes time."""
-        return any(schema.duration is not None for schema in self.schema_of.values())
+    @cached_property
+    def derived(self) -> frozenset[str]:
+        """The names of the derived predicates, as the files spell them."""
+        return frozenset(self.signatures[name].name for name in self.axioms)
 
     @cached_property
     def numeric(self) -> frozenset[str]:
         """The names of the numeric facts, as the files spell them."""
         return frozenset(each.name for each in self.signatures.values() if each.is_number)
-
-    def duration_s(self, schema: str) -> float:
-        """Return an action's shortest duration [s]: 0 if instantaneous, infinite if not constant."""
-        duration = self.schema_of[schema].duration
-        if duration is None:
-            return 0.0
-        return inf if isinstance(duration[0], tuple) else float(duration[0])
 
     def feasible_atom(self, action: str) -> str:
         """Return the atom that says that a ROSA action is feasible."""
@@ -323,11 +334,11 @@ class Domain:
     def objects_of(self, type_name: str) -> tuple[str, ...]:
         """Return the objects of a type or of its subtypes, in the order of the files."""
         kind = type_name.lower()
-        known: dict[str, tuple[str, ...]] = self.cache.setdefault("objects", {})
-        if kind not in known:
+        by_type: dict[str, tuple[str, ...]] = self.cache.setdefault("objects", {})
+        if kind not in by_type:
             objects = [name for name, lineage in self.types.items() if kind in lineage]
-            known[kind] = tuple(objects)
-        return known[kind]
+            by_type[kind] = tuple(objects)
+        return by_type[kind]
 
     def bindings(self, variables: Variables, outer: Binding) -> Iterator[Binding]:
         """Yield the outer binding, extended by each choice of objects for variables."""
@@ -340,10 +351,8 @@ class Domain:
         listed = tuple(arguments)
         definition = self.schema_of[schema]
         names = [name for name, _ in definition.parameters]
-        action = definition.action
-        if action is not None:
-            action = dict(zip(names, listed, strict=True)).get(action, action)
-        return Step(schema, listed, action)
+        by_name: dict[str | None, str] = dict(zip(names, listed, strict=True))
+        return Step(schema, listed, by_name.get(definition.action, definition.action))
 
     def atom(self, text: str) -> str:
         """Return the canonical text of an atom, e.g. `(lit room)` for `lit ROOM`.
@@ -351,10 +360,10 @@ class Domain:
         Raises:
             UnknownNameError: the predicate is unknown or derived, or an argument does not fit it.
         """
-        known: dict[str, str] = self.cache.setdefault("atoms", {})
-        if text not in known:
-            known[text] = self._canonical(text)
-        return known[text]
+        atoms: dict[str, str] = self.cache.setdefault("atoms", {})
+        if text not in atoms:
+            atoms[text] = self._canonical(text)
+        return atoms[text]
 
     def _canonical(self, text: str) -> str:
         words = text.strip().removeprefix("(").removesuffix(")").split()
@@ -465,6 +474,11 @@ def atom_text(name: str, arguments: Iterable[str]) -> str:
     return "(" + " ".join((name, *arguments)) + ")"
 
 
+def variables_text(variables: Variables) -> str:
+    """Return variables with their types as text: `?a - room ?b - robot`."""
+    return " ".join(f"{name} - {kind}" for name, kind in variables)
+
+
 def exact(value: float | Fraction) -> Exact:
     """Return the exact value of a number as it is written in decimals: 0.1 is one tenth."""
     if isinstance(value, int):
@@ -531,7 +545,7 @@ def parts_of(formula: Formula) -> Iterator[Formula]:
     head = formula[0]
     if head in ("forall", "exists"):
         yield from parts_of(formula[2])
-    elif head not in ("atom", "n", "same", "in"):
+    elif head not in ("atom", "n", "same"):
         for part in formula[1:]:
             if isinstance(part, tuple):
                 yield from parts_of(part)
@@ -566,23 +580,19 @@ def text_of(formula: Any, binding: Binding | None = None) -> str:  # noqa: ANN40
     """Return a formula or a number as PDDL text, with its variables replaced by objects."""
     scope = binding or {}
     if not isinstance(formula, tuple):
-        return number_text(formula)
+        # a fraction that decimals do not write exactly, as PDDL writes it
+        numerator, *denominator = number_text(formula).split("/")
+        return f"(/ {numerator} {denominator[0]})" if denominator else numerator
     head, *parts = formula
     if head in ("atom", "n"):
         return atom_text(parts[0], bound(parts[1], scope))
     if head == "same":
         return atom_text("=", bound(parts, scope))
-    if head == "in":
-        term = scope.get(parts[0], parts[0])
-        kinds = [f"(exists (?either - {kind}) (= {term} ?either))" for kind in parts[1]]
-        return atom_text("or", kinds)
     if head in ("forall", "exists"):
         variables, inner = parts
         names = {name for name, _ in variables}
         visible = {name: thing for name, thing in scope.items() if name not in names}
-        declared = " ".join(f"{name} - {kind}" for name, kind in variables)
-        return f"({head} ({declared}) {text_of(inner, visible)})"
-    texts = [text_of(part, scope) for part in parts]
+        return f"({head} ({variables_text(variables)}) {text_of(inner, visible)})"
     if head == "or" and len(parts) == 2 and parts[0][0] == "not":
-        return atom_text("imply", [text_of(parts[0][1], scope), texts[1]])
-    return atom_text(head, texts)
+        head, parts = "imply", [parts[0][1], parts[1]]
+    return atom_text(head, [text_of(part, scope) for part in parts])

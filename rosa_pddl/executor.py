@@ -5,8 +5,6 @@ their list; each stage is a method of its own.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
-from typing import Any
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -17,7 +15,6 @@ from rosa_pddl.belief import (
     FeasibilityEvents,
     LastingFeasibility,
     Sense,
-    UnmetEffect,
 )
 from rosa_pddl.domain import Domain, Feasibility, State, Step, with_object, without_object
 from rosa_pddl.exceptions import (
@@ -28,30 +25,26 @@ from rosa_pddl.exceptions import (
     nearest,
 )
 from rosa_pddl.grounding import binding_of
-from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor, shared_components
+from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor
 from rosa_pddl.planner import Planner
 from rosa_pddl.problem import Problem
 from rosa_pddl.reader import conditions
 from rosa_pddl.replanning import (
-    MEMORY,
     Decision,
     Goals,
     PlannerClient,
-    PlanningState,
     PlanRecord,
     PlansAhead,
     Replanning,
     ReplanningPolicy,
-    decide,
-    news_of,
 )
 from rosa_pddl.validate import (
     StepEvent,
     because,
     changes,
     goal_holds,
-    missing_at_end,
     missing_meanwhile,
+    missing_of,
     takes_s,
 )
 
@@ -176,8 +169,7 @@ class PlanExecutor(Behaviour):
         delay_s: the executor takes the planner's answer this long after the request [s], however
             long planning took, so that every run of a simulation is the same; None to take it as
             soon as it is there, in the tick of the request if the planner answers at once.
-        policy: when to replan, and what happens to running steps meanwhile.
-        memory: how many plannings `plans` keeps; the oldest are forgotten.
+        policy: how often to replan, and how patient to be.
 
     Attributes:
         goals: the goals to reach; may be changed between ticks.
@@ -202,7 +194,6 @@ class PlanExecutor(Behaviour):
         planner: PlansAhead | None = None,
         delay_s: float | None = 0.2,
         policy: ReplanningPolicy | None = None,
-        memory: int = MEMORY,
     ) -> None:
         super().__init__(name)
         why = domain.only_planned
@@ -220,9 +211,8 @@ class PlanExecutor(Behaviour):
         self._domain = domain
         self._factories = dict(behaviours)
         self._policy = policy or ReplanningPolicy()
+        self._planner: PlansAhead = planner or Planner()
         self._owns_planner = planner is None
-        self._planner: PlansAhead = Planner() if planner is None else planner
-        self._kb: Any = kb
         self._belief = Belief(domain, kb, sense)
         self._numbers = self._belief.numbers
         self._effects = ExpectedEffects(domain, kb)
@@ -230,24 +220,19 @@ class PlanExecutor(Behaviour):
         forecasts = kb.forecasts if isinstance(kb, LastingFeasibility) else dict
         self._monitor = PlanMonitor(self._effects, self._belief, forecasts)
         self._client = PlannerClient(self._planner, clock, delay_s)
-        clash = shared_components(kb) if self._policy.side_by_side else None
-        self._replanning = Replanning(
-            self.goals, self._monitor, self._client, self._policy, clash, memory
-        )
+        self._replanning = Replanning(self.goals, self._monitor, self._client, self._policy)
         self._backoff = self._replanning.backoff
         self._setup_arguments: dict[str, object] = {}
         self._running: list[RunningStep] = []
         self._ended_meanwhile: list[Step] = []
         self._unseen: dict[Step, tuple[State, int]] = {}
         self._plan: PlanExecution | None = None
-        self._found_valid: tuple[PlanExecution, PlanningState] | None = None
+        self._valid: tuple[object, ...] = ()
         self._seen_goals = self.goals.version
-        self._expected: PlanningState | None = None
         self._ticked: list[Behaviour] = []
         self._cause: int | None = None
         self._clock = clock
         self._took_s: dict[str, float] = {}
-        self._switches = 0
         self._is_midway = False
 
     # ------------------------------------------------------------ what users ask
@@ -284,7 +269,7 @@ class PlanExecutor(Behaviour):
         self._use(domain)
         unfinished = () if self._plan is None else self._plan.unfinished_steps
         if any(spelled in step.arguments for step in unfinished):
-            self._want(Decision(f"{spelled} is gone", is_needed=True))
+            self._want(f"{spelled} is gone")
 
     def _use(self, domain: Domain) -> None:
         self._domain = domain
@@ -293,8 +278,7 @@ class PlanExecutor(Behaviour):
         self.goals.use(domain)
         self._unseen.clear()
         if self._client.is_under_way:
-            self._replanning.want(Decision("the objects changed", is_needed=True))
-        self._found_valid = self._expected = None
+            self._want("the objects changed")
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -410,13 +394,11 @@ class PlanExecutor(Behaviour):
             if domain is not self._domain:  # numbers on which plans depend have changed
                 self._domain = self._belief.domain = domain
                 self._effects.use(domain)
-                self._found_valid = None
             self._numbers = self._belief.numbers
 
     def _monitor_steps(self, state: State) -> None:
         """Stop the steps that cannot go on, or that take far too long."""
-        if self._effects.update():
-            self._found_valid = None
+        self._effects.update()
         for step, (missing, _) in tuple(self._unseen.items()):
             if missing <= state:  # what a step should bring about is seen after all
                 self._backoff.forget(step)
@@ -427,8 +409,7 @@ class PlanExecutor(Behaviour):
                 self._release([running])
                 reason = because(self._domain, running.step, missing_condition, verb="became")
                 is_unfeasible = self._domain.is_feasibility(missing_condition)
-                cause = self._cause if is_unfeasible else None
-                self._want(Decision(reason, is_needed=True, cause=cause))
+                self._want(reason, self._cause if is_unfeasible else None)
                 continue
             limit_s = self._expected_s(running.step) * self._policy.overrun
             passed_s = self._clock() - running.began_s
@@ -436,30 +417,32 @@ class PlanExecutor(Behaviour):
                 self._fail(running, f"{running.step} takes longer than {limit_s:.3g} s")
 
     def _monitor_plan(self, state: State) -> None:
-        """Check whether the plan still works, and whether a better one may be possible."""
+        """Check whether the plan still works."""
         goals_changed = self.goals.version != self._seen_goals
-        if goals_changed:
-            self._replanning.goals_changed(is_needed=self._plan is None)
-            if self._plan is not None:
+        self._seen_goals = self.goals.version
+        flaw = None
+        if self._plan is not None:
+            if goals_changed:
                 hard, soft = self._replanning.hard, self.goals.soft
                 self._plan = self._monitor.aimed(self._plan, state, hard, soft)
-        if self._plan is not None:
             flaw = self._flaw(self._plan, self._belief.observe())
-            now = state, self._belief.numbers
-            news = news_of(self._expected, now, self._replanning.matters)
-            decision = decide(self._policy, flaw=flaw, goals_changed=goals_changed, news=news)
-            if decision is not None and not goals_changed:
-                decision = replace(decision, cause=self._cause)
-            self._want(decision)
-        self._seen_goals = self.goals.version
+        if goals_changed:
+            self._replanning.forget_failures()
+            if self.is_planning:
+                self._want(f"the goals changed: {flaw}" if flaw else "the goals changed")
+        elif flaw is not None:
+            self._want(flaw, self._cause)
+
+    @property
+    def is_planning(self) -> bool:
+        """Whether there is a plan, or one is being made."""
+        return self._plan is not None or self._client.is_under_way
 
     def _act_and_decide(self) -> Status:
         """Start the steps that may start, then decide what to ask and how the tick ends."""
         while self._tick_steps(self._start_ready()):
             pass
-        state = self._belief.observe()
-        self._expected = (state, self._belief.numbers) if self._policy.eager else None
-        return self._decide(state)
+        return self._decide(self._belief.observe())
 
     def _decide(self, state: State) -> Status:
         """Return the status of the tick, and ask the planner for a plan if one is wanted."""
@@ -479,10 +462,10 @@ class PlanExecutor(Behaviour):
                 self._drop_plan()
                 self.feedback_message = why
                 return Status.FAILURE
-            decision = Decision("start", is_needed=True)
             if replanning.had_no_plan:
-                decision = Decision("the state changed", is_needed=True, cause=self._cause)
-            self._want(decision)
+                self._want("the state changed", self._cause)
+            else:
+                self._want("start")
         asked = replanning.ask_if_allowed(planned_from, self._shares_left())
         if asked is not None:
             self._ended_meanwhile.clear()
@@ -510,72 +493,46 @@ class PlanExecutor(Behaviour):
 
     def _flaw(self, plan: PlanExecution, state: State) -> str | None:
         """Return in words why the rest of the plan no longer works; checked if news is there."""
-        now = (state, self._belief.numbers)
-        valid = self._found_valid
-        if valid is None or valid[0] is not plan or valid[1] != now:
-            replanning = self._replanning
-            planned_from = self._belief.unstarted(self._running, state)
-            if replanning.had_no_plan and replanning.why_no_plan(planned_from) is None:
-                return "the state changed"
-            flaw = plan.prediction(self._effects.domain, state).flaw
-            self._found_valid = (plan, now) if flaw is None else None
+        domain = self._effects.domain
+        now = plan, domain, state, self._belief.numbers
+        if self._valid != now:
+            flaw = plan.prediction(domain, state).flaw
             if flaw is not None:
                 return flaw
+            self._valid = now
         return self._monitor.too_late(plan, state, self._shares_left())
 
-    def _want(self, decision: Decision | None) -> None:
-        """Note that a plan is wanted; if it is needed, drop the current plan."""
-        if decision is None:
-            return
-        self._replanning.want(decision)
-        if decision.is_needed:
-            self._plan = None
-            if self._policy.while_planning == "hold":
-                self._release(self._running)
+    def _want(self, reason: str, cause: int | None = None) -> None:
+        """Note that a plan is wanted, and drop the current plan; running steps go on."""
+        self._replanning.want(Decision(reason, cause))
+        self._plan = None
 
     def _take_answer(self) -> None:
-        """Take the planner's answer, if it is due: a new plan, if it is better than the old one."""
+        """Take the planner's answer, if it is due; keep the running steps that it starts with."""
         if not self._client.has_answer:
             return
         state = self._belief.observe()
-        answer = self._replanning.take(self._belief.unstarted(self._running, state))
-        if answer is None:
+        plan = self._replanning.take(self._belief.unstarted(self._running, state))
+        if plan is None:
             return
-        plan, decision = self._with_what_ended(answer[0]), answer[1]
-        kept: dict[int, RunningStep] = {}
-        for running in self._running:
-            number = plan.starts_with(running.step)
-            if number is not None:
-                kept[number] = running
-                plan = plan.with_event(StepEvent(number, False))
-        others = [running for running in self._running if running not in kept.values()]
-        old = None if decision.is_needed else self._plan
-        if old is None:
-            self._switches = 0
-        else:
-            after = self._belief.unstarted(others, state)
-            margin = self._policy.hysteresis * (1 + self._switches)
-            shares, weights = self._shares_left(), self._backoff.weights
-            pair = (plan, after), (old, state)
-            if not self._monitor.is_better(*pair, self.goals.soft, shares, weights, margin):
-                return
-            self._switches += 1
-        self._release(others)
-        for number, running in kept.items():
-            running.number = number
-        self._plan = plan
-
-    def _with_what_ended(self, plan: PlanExecution) -> PlanExecution:
-        """Return the plan with those first steps marked as done that succeeded meanwhile."""
         for step in self._ended_meanwhile:
             number = plan.starts_with(step)
             if number is not None:
                 plan = plan.with_event(StepEvent(number, False), StepEvent(number, True))
-        return plan
+        others = list[RunningStep]()
+        for running in self._running:
+            number = plan.starts_with(running.step)
+            if number is None:
+                others.append(running)
+            else:
+                running.number = number
+                plan = plan.with_event(StepEvent(number, False))
+        self._release(others)
+        self._plan = plan
 
     def _drop_plan(self) -> None:
         self._is_midway = True
-        self._plan = self._found_valid = self._expected = None
+        self._plan = None
         self._replanning.forget()
         self._release(self._running)
         self.children = []
@@ -591,7 +548,7 @@ class PlanExecutor(Behaviour):
                 break
             flaw = self._flaw(self._plan, state)
             if flaw is not None:
-                self._want(Decision(flaw, is_needed=True))
+                self._want(flaw)
                 break
             steps = self._plan.steps
             rested = [n for n in self._plan.startable if not self._backoff.wait_s(steps[n])]
@@ -631,12 +588,12 @@ class PlanExecutor(Behaviour):
         """Release a step that failed, and count the failure."""
         self._release([running])
         self._backoff.add(running.step)
-        self._want(Decision(reason, is_needed=True))
+        self._want(reason)
 
     def _end(self, running: RunningStep) -> str | None:
         """Believe the effects of a step that succeeded; return why it cannot have, or None."""
         step, state = running.step, self._belief.observe()
-        missing = missing_at_end(self._domain, step, state)
+        missing = missing_of(self._domain, self._domain.schema_of[step.schema].end, step, state)
         if missing is not None:
             return f"{step} ended although {missing} does not hold"
         self._belief.end(running, step, state)
@@ -649,7 +606,11 @@ class PlanExecutor(Behaviour):
         self._look_for_effects(step, state)
         unmet = self._effects.ended(step, state)
         if unmet and self._plan is not None:
-            self._rely_no_more(self._plan, unmet)
+            domain, state = self._effects.domain, self._belief.observe()
+            expected = state.union(self._domain.feasible_atom(each.action) for each in unmet)
+            is_flawed = self._plan.prediction(domain, state).flaw is not None
+            if is_flawed and self._plan.prediction(domain, expected).flaw is None:
+                self._want("; ".join(map(str, unmet)))
         return None
 
     def _look_for_effects(self, step: Step, before: State) -> None:
@@ -667,16 +628,7 @@ class PlanExecutor(Behaviour):
         self._unseen[step] = frozenset(missing), count
         if count > self._policy.retries:
             self._backoff.use_up(step)
-            reason = f"{step} did not bring {min(missing)} about {count} times"
-            self._want(Decision(reason, is_needed=True))
-
-    def _rely_no_more(self, plan: PlanExecution, unmet: Iterable[UnmetEffect]) -> None:
-        """Replan if the rest of the plan needs an action that a step did not make feasible."""
-        domain, state = self._effects.domain, self._belief.observe()
-        expected = state | {self._domain.feasible_atom(each.action) for each in unmet}
-        is_flawed = plan.prediction(domain, state).flaw is not None
-        if is_flawed and plan.prediction(domain, expected).flaw is None:
-            self._want(Decision("; ".join(map(str, unmet)), is_needed=True))
+            self._want(f"{step} did not bring {min(missing)} about {count} times")
 
     def _release(self, steps: Iterable[RunningStep]) -> None:
         """Stop steps that still run, take back what their starts made believed, release them."""

@@ -2,17 +2,15 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import chain
 from typing import Any, NamedTuple
 
 from rosa_pddl.belief import Belief, ExpectedEffects
-from rosa_pddl.domain import Domain, Effect, Feasibility, State, Step
+from rosa_pddl.domain import Domain, State, Step
 from rosa_pddl.grounding import binding_of
 from rosa_pddl.problem import PlanningResult, Problem
 from rosa_pddl.reader import Goal
 from rosa_pddl.validate import (
-    Clash,
     StepEvent,
     TimedStep,
     affected_atoms,
@@ -21,37 +19,13 @@ from rosa_pddl.validate import (
     moments,
     one_after_the_other,
     replay,
-    step_costs,
     takes_s,
 )
 
-# Costs are sums of floats; a difference below this counts as none.
-_SAME_COST = 1e-9
 # A new plan is made only if actions stay feasible this many times as long as the plan needs them.
 _LONGER = 1.1
 
-_Touched = tuple[frozenset[str], frozenset[str]]
 _Forecasts = Callable[[], Mapping[str, Any]]
-
-
-def shared_components(kb: Feasibility) -> Clash:
-    """Return a function: whether two steps may need the same component, in any design."""
-
-    @cache
-    def components(action: str | None) -> frozenset[str]:
-        functions, designs = (getattr(kb, kind, {}) for kind in ("functions", "designs"))
-        required = getattr(kb.actions[action], "functions", ()) if action is not None else ()
-        names = set[str]()
-        for function in required:
-            for design in functions[function].designs:
-                names.update(designs[design].components)
-        return frozenset(names)
-
-    def clash(step: Step, other: Step) -> bool:
-        is_same = step.action is not None and step.action == other.action
-        return is_same or bool(components(step.action) & components(other.action))
-
-    return clash
 
 
 class Prediction(NamedTuple):
@@ -75,36 +49,19 @@ class PlanExecution:
     happened: frozenset[StepEvent] = frozenset()
 
     @classmethod
-    def of(
-        cls,
-        domain: Domain,
-        result: PlanningResult,
-        goals: tuple[Goal, ...],
-        clash: Clash | None = None,
-    ) -> "PlanExecution":
-        """Order a plan: a schedule by what its steps need, others one step after the other.
-
-        If `clash` is given, a step of an unscheduled plan waits only for the earlier steps with
-        which it clashes or interferes: one of the two changes what the other needs or changes.
-        All orders that this allows have the same result.
-        """
-        if result.schedule:
-            return _scheduled(domain, result.schedule, goals)
+    def of(cls, domain: Domain, result: PlanningResult, goals: tuple[Goal, ...]) -> "PlanExecution":
+        """Order a plan: a step may start when all has happened that is planned before."""
         steps = result.steps
-        touched = [_touched(domain, step) for step in steps] if clash else []
+        planned: tuple[tuple[StepEvent, ...], ...] = one_after_the_other(len(steps))
+        if result.schedule:
+            planned = tuple(_in_turn(domain, result.schedule))
+        events = list(chain.from_iterable(planned))
         after = list[frozenset[StepEvent]]()
-        for number, step in enumerate(steps):
-            waits = set[StepEvent]()
-            for before in range(number):
-                if clash is None:
-                    must_wait = before == number - 1
-                else:
-                    must_wait = _interfere(touched[before], touched[number])
-                    must_wait = must_wait or clash(steps[before], step)
-                if must_wait:
-                    waits.add(StepEvent(before, True))
-            after.append(frozenset(waits))
-        return cls(steps, one_after_the_other(len(steps)), tuple(after), goals)
+        for number in range(len(steps)):
+            after.append(frozenset(events[: events.index(StepEvent(number, False))]))
+        for number in range(len(steps) if result.schedule else 0):
+            after[number] |= _ends_before_use(domain, steps, number, after)
+        return cls(steps, planned, tuple(after), goals)
 
     @property
     def events(self) -> tuple[StepEvent, ...]:
@@ -185,115 +142,39 @@ class PlanExecution:
         return Prediction(flaw, facts)
 
 
-def _scheduled(
-    domain: Domain, schedule: Sequence[TimedStep], goals: tuple[Goal, ...]
-) -> PlanExecution:
-    timed = sorted(schedule, key=lambda each: each.start_s)
+def _in_turn(domain: Domain, schedule: Sequence[TimedStep]) -> Iterator[tuple[StepEvent, ...]]:
+    """Yield the events of each moment: ends first, and a step after what it needs while it runs."""
 
     def rank(event: StepEvent) -> tuple[int, StepEvent]:
-        """Order the events of a moment: ends, then starts, then ends of instantaneous steps."""
-        if not event.is_end:
-            return 1, event
-        return (0 if timed[event.number].duration_s > 0.0 else 2), event
-
-    in_time = list[tuple[StepEvent, ...]]()
-    for moment in moments(timed):
-        in_time.append(tuple(_in_turn(domain, timed, sorted(moment, key=rank))))
-    events = tuple(chain.from_iterable(in_time))
-    touched = [_touched(domain, each.step) for each in timed]
-    at_event = dict[StepEvent, _Touched]()
-    for event in events:
-        at_event[event] = _touched(domain, timed[event.number].step, [event.is_end])
-    after = list[frozenset[StepEvent]]()
-    for number in range(len(timed)):
-        earlier = events[: events.index(StepEvent(number, False))]
-        others = [event for event in earlier if event.number != number]
-        waits = [event for event in others if _interfere(at_event[event], touched[number])]
-        after.append(frozenset(waits))
-    steps = tuple(each.step for each in timed)
-    waits_for = _not_too_early(domain, timed, touched, after)
-    return PlanExecution(steps, tuple(in_time), waits_for, goals)
-
-
-def _not_too_early(
-    domain: Domain,
-    timed: Sequence[TimedStep],
-    touched: Sequence[_Touched],
-    after: Sequence[frozenset[StepEvent]],
-) -> tuple[frozenset[StepEvent], ...]:
-    """Let a step that lends something, such as light, wait for what its first user waits for.
-
-    Otherwise it might end before it is used, as it is not known how long steps really take.
-    """
-    waits = list(after)
-    for number, each in enumerate(timed):
-        lent = _lent(domain, each.step)
-        start = StepEvent(number, False)
-        users = [n for n in range(len(timed)) if lent & touched[n][0] and start in after[n]]
-        if users and each.duration_s > 0.0:
-            waiting = _waiting_for(waits, number)
-            waits[number] |= {event for event in after[users[0]] if event.number not in waiting}
-    return tuple(waits)
-
-
-def _lent(domain: Domain, step: Step) -> frozenset[str]:
-    schema = domain.schema_of[step.schema]
-    binding = binding_of(domain, step)
-    lent = [effect for effect in schema.start_effects if effect.kind != "delete"]
-    taken = [effect for effect in schema.end_effects if effect.kind != "add"]
-    atoms = frozenset(affected_atoms(domain, lent, binding))
-    return atoms.intersection(affected_atoms(domain, taken, binding))
-
-
-def _waiting_for(waits: Sequence[frozenset[StepEvent]], number: int) -> set[int]:
-    waiting, more = set[int](), {number}
-    while more:
-        waiting |= more
-        rest = [other for other in range(len(waits)) if other not in waiting]
-        more = {n for n in rest if any(event.number in waiting for event in waits[n])}
-    return waiting
-
-
-def _in_turn(
-    domain: Domain, timed: Sequence[TimedStep], together: Sequence[StepEvent]
-) -> Iterator[StepEvent]:
-    """Yield the events of a moment; a step starts after what provides its `over all` conditions."""
-    left = list(together)
-
-    def is_early(event: StepEvent) -> bool:
+        timed = schedule[event.number]
+        if timed.duration_s == 0.0:
+            return 2, event
         if event.is_end:
-            return StepEvent(event.number, False) in left
-        step = timed[event.number].step
-        over_all = domain.schema_of[step.schema].over_all
-        needed = set(mentioned_atoms(domain, over_all, (), binding_of(domain, step)))
-        for other in left:
-            provides = not other.is_end or timed[other.number].duration_s == 0.0
-            changed = _touched(domain, timed[other.number].step, [other.is_end])[1]
-            if other.number != event.number and provides and needed & changed:
-                return True
-        return False
+            return 0, event
+        return (3 if domain.schema_of[timed.step.schema].over_all else 1), event
 
-    while left:
-        event = next((each for each in left if not is_early(each)), left[0])
-        left.remove(event)
-        yield event
+    for moment in moments(schedule):
+        yield tuple(sorted(moment, key=rank))
 
 
-def _touched(domain: Domain, step: Step, ends: Iterable[bool] = (False, True)) -> _Touched:
-    """Return the atoms that a step, or one of its ends, needs, and those that it may change."""
-    schema = domain.schema_of[step.schema]
-    binding = binding_of(domain, step)
-    needed, changed = set[str](), set[str]()
-    for is_end in ends:
-        conditions = schema.over_all + (schema.end if is_end else schema.start)
-        effects: tuple[Effect, ...] = schema.end_effects if is_end else schema.start_effects
-        needed |= set(mentioned_atoms(domain, conditions, effects, binding))
-        changed |= set(affected_atoms(domain, effects, binding))
-    return frozenset(needed), frozenset(changed)
+def _ends_before_use(
+    domain: Domain, steps: Sequence[Step], number: int, after: Sequence[frozenset[StepEvent]]
+) -> set[StepEvent]:
+    """Return the ends of earlier steps that the first user of what a step lends waits for.
 
-
-def _interfere(one: _Touched, other: _Touched) -> bool:
-    return bool(one[1] & (other[0] | other[1]) or one[0] & other[1])
+    A step lends what it provides only while it runs, such as light. It might end before it is used
+    if it did not wait for these, as it is not known how long steps really take.
+    """
+    schema = domain.schema_of[steps[number].schema]
+    binding = binding_of(domain, steps[number])
+    given = affected_atoms(domain, schema.start_effects, binding)
+    lent = set(given).intersection(affected_atoms(domain, schema.end_effects, binding))
+    for user, waits in sorted(enumerate(after), key=lambda pair: len(pair[1])):
+        conditions = domain.schema_of[steps[user].schema].conditions
+        read = mentioned_atoms(domain, conditions, (), binding_of(domain, steps[user]))
+        if StepEvent(number, False) in waits and not lent.isdisjoint(read):
+            return {e for e in waits if e.is_end and StepEvent(e.number, False) in after[number]}
+    return set()
 
 
 class PlanMonitor:
@@ -303,11 +184,6 @@ class PlanMonitor:
         self.effects = effects
         self.belief = belief
         self._forecasts = forecasts
-
-    @property
-    def is_forecast(self) -> bool:
-        """Whether there are forecasts, so that what is late depends on the time."""
-        return bool(self._forecasts())
 
     def until(self) -> dict[str, float]:
         """Return how much longer facts hold for a new plan [s]: the earliest, with a margin."""
@@ -331,7 +207,7 @@ class PlanMonitor:
         """Return in words which step of a working plan would end too late; None if none would."""
         forecasts = self._forecasts()
         left = {atom: each.at - each.now for atom, each in forecasts.items() if each.at is not None}
-        if not left or not plan.goals:  # a safe step, which has no goals, is never too late
+        if not left:
             return None
         domain, numbers = self.effects.domain, self.belief.numbers
 
@@ -359,47 +235,6 @@ class PlanMonitor:
         """Return the plan with other goals: all hard ones, and the soft ones that it reaches."""
         facts = plan.prediction(self.effects.domain, state).facts
         return replace(plan, goals=hard + self.holding(soft, facts))
-
-    def is_better(
-        self,
-        new: tuple[PlanExecution, State],
-        old: tuple[PlanExecution, State],
-        soft: tuple[Goal, ...],
-        shares: Mapping[Step, float],
-        weights: Mapping[Step, int],
-        margin: float,
-    ) -> bool:
-        """Whether the new plan works and costs less than the rest of the old, by a margin.
-
-        Each plan comes with the state that it begins in.
-        """
-        plan, after = new
-        if plan.prediction(self.effects.domain, after).flaw is not None:
-            return False
-        mine, theirs = (self._price(*each, soft, shares, weights) for each in (new, old))
-        if mine is None or theirs is None:  # a number that costs depend on is unknown now
-            return False
-        return mine * (1.0 + margin) < theirs - _SAME_COST
-
-    def _price(
-        self,
-        plan: PlanExecution,
-        state: State,
-        soft: tuple[Goal, ...],
-        shares: Mapping[Step, float],
-        weights: Mapping[Step, int],
-    ) -> float | None:
-        """Return the cost of the steps that have not ended, and of the soft goals given up."""
-        domain = self.effects.domain
-        reached = self.holding(soft, plan.prediction(domain, state).facts)
-        price = sum(goal.worth or 0.0 for goal in soft if goal not in reached)
-        steps = plan.unfinished_steps
-        costs = step_costs(domain, steps, state, self.belief.numbers, len(plan.running))
-        for step, cost in zip(steps, costs, strict=True):
-            if cost is None:
-                return None
-            price += cost * shares.get(step, 1.0) * weights.get(step, 1)
-        return price
 
     def holding(self, goals: Iterable[Goal], facts: State) -> tuple[Goal, ...]:
         """Return the goals that hold."""

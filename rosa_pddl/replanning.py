@@ -1,30 +1,20 @@
-"""Decides when to replan, exchanges questions and answers with the planner, explains failures."""
+"""Asks the planner for plans, and finds out why there is none."""
 
 import logging
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from html import escape
 from math import inf
 from numbers import Real
-from typing import Literal, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
-from rosa_pddl.domain import (
-    FEASIBLE,
-    Domain,
-    State,
-    Step,
-    constants_in,
-    head_of,
-    names_in,
-    parts_of,
-)
+from rosa_pddl.domain import Domain, State, Step, constants_in, head_of, names_in
 from rosa_pddl.exceptions import GoalError, PlannerSettingError, PlanningBudgetError, nearest
 from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor
-from rosa_pddl.planner import CERTIFIED, Planner, wait_for_plan
+from rosa_pddl.planner import wait_for_plan
 from rosa_pddl.problem import Outcome, PlanningResult, Problem
 from rosa_pddl.reader import Goal, conditions
-from rosa_pddl.validate import Clash, goal_holds, missing_at_start
+from rosa_pddl.validate import goal_holds
 
 _LOG = logging.getLogger(__name__)
 
@@ -34,12 +24,7 @@ _CLOCK_RESOLUTION_S = 1e-6
 _GRACE_S = 2.0
 # The pause after a first failure, which doubles with each further one, and the longest pause [s].
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 60.0
-
-MEMORY = 10_000
-"""How many plannings are remembered, unless another number is asked for."""
-
-PlanningState = tuple[State, Mapping[str, float]]
-"""The believed state: the true atoms, and numbers by their text."""
+_MOST_RECORDS = 10_000
 
 
 # ---------------------------------------------------------------- goals
@@ -63,7 +48,7 @@ class Goals:
         self._goals: dict[str, Goal] = {}
         self.version = 0
         for text in domain.goals:
-            self._put(text, None)
+            self._goals |= {goal.text: goal for goal in self._read(text)}
 
     @property
     def hard(self) -> tuple[Goal, ...]:
@@ -91,9 +76,8 @@ class Goals:
         if worth is not None and not (isinstance(worth, Real) and 0.0 < worth < inf):
             message = f"{text} is worth {worth}, expected more than 0"
             raise GoalError(f"{message}; leave it out if it must be reached")
-        before = dict(self._goals)
-        self._put(text, worth)
-        self.version += before != self._goals
+        goals = self._goals | {goal.text: goal for goal in self._read(text, worth)}
+        self._set(goals)
 
     def drop(self, text: str) -> None:
         """Remove a goal; each part of a conjunction is removed.
@@ -101,20 +85,15 @@ class Goals:
         Raises:
             GoalError: there is no such goal; other errors as in `add`.
         """
-        texts = [goal.text for goal in self._read(text)]
-        for goal in texts:
-            if goal not in self._goals:
-                raise GoalError(f"{goal} is not among the goals; {nearest(goal, self._goals)}")
-        for goal in texts:
-            self._goals.pop(goal, None)
-        self.version += 1
+        goals = dict(self._goals)
+        for goal in self._read(text):
+            if goals.pop(goal.text, None) is None:
+                raise GoalError(f"{goal.text} is not among the goals; {nearest(goal.text, goals)}")
+        self._set(goals)
 
     def replace(self, *texts: str) -> None:
         """Replace all goals by these, which must be reached; raises as `add`."""
-        goals = [goal for text in texts for goal in self._read(text)]
-        before = self._goals
-        self._goals = {goal.text: goal for goal in goals}
-        self.version += before != self._goals
+        self._set({goal.text: goal for text in texts for goal in self._read(text)})
 
     def use(self, domain: Domain) -> None:
         """Switch to a domain with other objects; the goals of objects that are gone go, too."""
@@ -123,6 +102,10 @@ class Goals:
             if not constants_in(goal.expression) <= domain.types.keys():
                 del self._goals[text]
         self.version += 1
+
+    def _set(self, goals: dict[str, Goal]) -> None:
+        self.version += goals != self._goals
+        self._goals = goals
 
     def __contains__(self, text: object) -> bool:
         return text in self._goals
@@ -136,9 +119,6 @@ class Goals:
     def __repr__(self) -> str:
         return f"Goals({', '.join(str(goal) for goal in self)})"
 
-    def _put(self, text: str, worth: float | None) -> None:
-        self._goals |= {goal.text: goal for goal in self._read(text, worth)}
-
     def _read(self, text: str, worth: float | None = None) -> tuple[Goal, ...]:
         if not isinstance(text, str):
             message = f"{text!r} is no goal, expected a condition as text"
@@ -147,32 +127,24 @@ class Goals:
 
 
 class Relevance:
-    """Which atoms a plan or a goal may depend on.
-
-    It tells predicates apart, not objects; only for `action_feasible` it tells ROSA actions apart.
-    """
+    """Which atoms a plan or a goal may depend on; it tells predicates apart, not objects."""
 
     def __init__(self, domain: Domain, goals: Goals) -> None:
         self._domain = domain
         self._goals = goals
         self._seen = -1
         self._names: set[str] = set()
-        self._feasible: frozenset[str] = frozenset()
 
     def matters(self, atom: str) -> bool:
         """Whether a plan or a goal may depend on an atom."""
         if self._seen != self._goals.version:
-            self._look()
             self._seen = self._goals.version
-        if self._domain.is_feasibility(atom):
-            return atom in self._feasible
+            self._names = self._needed()
         return head_of(atom) in self._names
 
-    def _look(self) -> None:
+    def _needed(self) -> set[str]:
         domain = self._domain
         needed = names_in(goal.expression for goal in self._goals)
-        feasible = {name for name in needed if name.lower() == FEASIBLE}
-        actions = set(domain.rosa_actions if feasible else ())
         size = -1
         while size != len(needed):
             size = len(needed)
@@ -180,26 +152,11 @@ class Relevance:
                 if domain.signatures[name].name in needed:
                     needed |= names_in(axiom.condition for axiom in axioms)
             for schema in domain.schema_of.values():
-                if needed.isdisjoint(effect.name for effect in schema.effects):
-                    continue
-                formulas = [*schema.conditions]
-                for effect in schema.effects:
-                    formulas += [effect.condition, effect.amount]
-                needed |= names_in(formulas)
-                actions |= self._actions_of(schema.name, formulas)
-        self._names = needed
-        feasibility = domain.feasibility.items()
-        self._feasible = frozenset(atom for atom, action in feasibility if action in actions)
-
-    def _actions_of(self, name: str, formulas: Sequence[object]) -> set[str]:
-        """Return the ROSA actions whose feasibility an action may need."""
-        schema, every = self._domain.schema_of[name], self._domain.rosa_actions
-        for formula in formulas:
-            for part in parts_of(formula) if isinstance(formula, tuple) else ():
-                is_asked = part[0] == "atom" and part[1].lower() == FEASIBLE
-                if is_asked and part[2] != (f"?{schema.action}",):
-                    return set(every)
-        return {action for action in every if self._domain.may_do(schema, action)}
+                if not needed.isdisjoint(effect.name for effect in schema.effects):
+                    needed |= names_in(schema.conditions)
+                    for effect in schema.effects:
+                        needed |= names_in([effect.condition, effect.amount])
+        return needed
 
 
 # ---------------------------------------------------------------- the policy
@@ -207,26 +164,17 @@ class Relevance:
 
 @dataclass(frozen=True)
 class ReplanningPolicy:
-    """When a plan executor replans, and what it does meanwhile.
+    """How often a plan executor replans, and how patient it is.
 
     A plan that no longer reaches the goals is always replaced. The conditions of running steps are
-    always watched, and a step is stopped as soon as one of its conditions does not hold.
+    always watched, and a step is stopped as soon as one of its conditions does not hold. Other
+    steps go on while a new plan is needed, and are kept if it starts with them.
 
     Args:
-        eager: whether to look for a better plan when the world changes by itself, although the
-            current plan still works. A cheaper plan replaces the current one; of running steps,
-            only the share that is left costs.
         at_most_every_s: shortest time between the starts of two plannings [s].
-        while_planning: what happens to running steps while a new plan is needed: `continue` lets
-            steps go on whose own conditions hold, and keeps them if the new plan starts with them;
-            `hold` stops all steps.
         retries: how often in a row a planner in trouble is asked again, and a failed step is
             planned again; the pause doubles each time. After that, planning fails, or plans leave
             out the step, until a pause of up to a minute is over.
-        side_by_side: whether steps of a plan may run at the same time if neither changes what the
-            other needs or changes, and they share no component.
-        hysteresis: by which share of its own cost a new plan must be cheaper to replace a working
-            one; this share grows with each such replacement, so that replacing ends.
         overrun: how many times its expected duration a step may take; then it is stopped and
             counts as failed.
 
@@ -234,76 +182,25 @@ class ReplanningPolicy:
         PlannerSettingError: a setting that makes no sense.
     """
 
-    eager: bool = False
     at_most_every_s: float = 0.2
-    while_planning: Literal["continue", "hold"] = "continue"
     retries: int = 3
-    hysteresis: float = 0.1
-    side_by_side: bool = False
     overrun: float = inf
 
     def __post_init__(self) -> None:
-        numbers = {
-            "at_most_every_s": self.at_most_every_s,
-            "retries": self.retries,
-            "hysteresis": self.hysteresis,
-        }
-        for name, value in numbers.items():
+        for name in ("at_most_every_s", "retries"):
+            value = getattr(self, name)
             if not 0.0 <= value < inf:
                 raise PlannerSettingError(f"{name} is {value:g}, expected 0 or more")
         if not self.overrun > 1.0:
             raise PlannerSettingError(f"overrun is {self.overrun:g}, expected more than 1")
-        if self.while_planning not in ("continue", "hold"):
-            message = f"while_planning is {self.while_planning!r}, expected 'continue' or 'hold'"
-            raise PlannerSettingError(message)
 
 
 @dataclass(frozen=True)
 class Decision:
-    """The decision to replan: why, whether a plan is needed, and the event that caused it."""
+    """The decision to replan: why, and the event that caused it."""
 
     reason: str
-    is_needed: bool
     cause: int | None = None
-
-
-def decide(
-    policy: ReplanningPolicy, *, flaw: str | None, goals_changed: bool, news: str | None
-) -> Decision | None:
-    """Decide whether to replan while there is a plan; None to keep it."""
-    if flaw is not None:
-        return Decision(f"the goals changed: {flaw}" if goals_changed else flaw, is_needed=True)
-    if goals_changed:
-        return Decision("the goals changed", is_needed=False)
-    if policy.eager and news is not None:
-        return Decision(f"something better may be possible: {news}", is_needed=False)
-    return None
-
-
-def news_of(
-    expected: PlanningState | None, now: PlanningState, matters: Callable[[str], bool]
-) -> str | None:
-    """Return in words the relevant changes that no step made since the last tick, or None."""
-    if expected is None or expected == now:
-        return None
-    before, numbers_before = expected
-    state, numbers = now
-    changed = list[str]()
-    gone = list[str]()
-    for atom in sorted(state ^ before):
-        if not matters(atom):
-            continue
-        if atom in state:
-            changed.append(atom)
-        elif not atom.startswith("(= "):
-            gone.append(f"(not {atom})")
-    changed += gone
-    for text, value in sorted(numbers.items()):
-        if numbers_before.get(text) != value:
-            changed.append(f"{text} is {value:g}")
-    if not changed:
-        return None
-    return ", ".join(changed[:3]) + (", ..." if len(changed) > 3 else "")
 
 
 class RetryBackoff:
@@ -314,9 +211,9 @@ class RetryBackoff:
         self._policy = policy
         self._failed: dict[Step | None, tuple[int, float]] = {}
 
-    def add(self, what: Step | None) -> bool:
+    def add(self, what: Step | None, count: int = 0) -> bool:
         """Count one more failure and begin a pause; return whether all retries are used up."""
-        count = self.count(what) + 1
+        count = max(count, self.count(what) + 1)
         # larger exponents would only overflow
         pause_s = min(_FIRST_PAUSE_S * 2.0 ** min(count - 1, 30), _LONGEST_PAUSE_S)
         self._failed[what] = count, self._clock() + pause_s
@@ -324,8 +221,7 @@ class RetryBackoff:
 
     def use_up(self, step: Step) -> None:
         """Count a failure after which no retry is left."""
-        while not self.add(step):
-            pass
+        self.add(step, self._policy.retries + 1)
 
     def forget(self, what: Step | None) -> None:
         """Forget the failures."""
@@ -337,8 +233,7 @@ class RetryBackoff:
 
     def end_pauses(self) -> None:
         """End all pauses, but keep the counts."""
-        for what, (count, _) in tuple(self._failed.items()):
-            self._failed[what] = count, -inf
+        self._failed = {what: (count, -inf) for what, (count, _) in self._failed.items()}
 
     def count(self, what: Step | None) -> int:
         """Return how often it failed in a row."""
@@ -350,23 +245,13 @@ class RetryBackoff:
         return left_s if left_s > _CLOCK_RESOLUTION_S else 0.0
 
     @property
-    def left_out(self) -> tuple[Step, ...]:
-        """The steps that plans must not contain now."""
-        left_out = list[Step]()
-        for step in self._failed:
-            is_over = step is not None and self.count(step) > self._policy.retries
-            if step is not None and is_over and self.wait_s(step):
-                left_out.append(step)
-        return tuple(left_out)
-
-    @property
     def weights(self) -> Mapping[Step, int]:
         """The factor on each step's cost: the expected number of tries; 0 leaves it out."""
         weights = dict[Step, int]()
-        left_out = self.left_out
         for step, (count, _) in self._failed.items():
             if step is not None:
-                weights[step] = 0 if step in left_out else count + 1
+                is_over = count > self._policy.retries and self.wait_s(step)
+                weights[step] = 0 if is_over else count + 1
         return weights
 
 
@@ -382,12 +267,11 @@ class PlansAhead(Protocol):
 
 @dataclass(frozen=True)
 class _Question:
-    """A request to the planner."""
+    """A request to the planner; without a decision it is part of a diagnosis."""
 
     problem: Problem
     decision: Decision | None
     at_s: float
-    delay_s: float
     future: "Future[PlanningResult]"
 
 
@@ -403,40 +287,26 @@ class PlannerClient:
         self.clock = clock
         self._delay_s = delay_s
         self._question: _Question | None = None
-        self.was_answered_at_once = False
-
-    @property
-    def timeout_s(self) -> float:
-        """The planner's own time limit [s]."""
-        return self._planner.timeout_s
 
     @property
     def is_under_way(self) -> bool:
         """Whether a question is open."""
         return self._question is not None
 
+    @property
+    def was_answered_at_once(self) -> bool:
+        """Whether the answer to the open question may be taken in the tick of the request."""
+        return self._delay_s is None and self.has_answer
+
     def ask(self, problem: Problem, decision: Decision | None) -> None:
         """Ask for a plan; an open question is given up."""
         self.give_up()
-        at_s = self.clock()
-        future: Future[PlanningResult]
         try:
             future = self._planner.start(problem)
-            tried = future.result().attempts if future.done() else ()
-            is_prepared = CERTIFIED in [attempt.strategy for attempt in tried]
         except Exception as error:  # a planner must not stop the tree; its error is its answer
-            future, is_prepared = Future(), False
+            future = Future()
             future.set_exception(error)
-        delay_s = 0.0 if is_prepared else self._delay_s or 0.0
-        self._question = _Question(problem, decision, at_s, delay_s, future)
-        self.was_answered_at_once = future.done() and (is_prepared or self._delay_s is None)
-
-    def is_prepared(self, problem: Callable[[], Problem]) -> bool:
-        """Whether the planner would answer at once with a plan of its certificate."""
-        planner = self._planner
-        if not isinstance(planner, Planner) or planner.certificate is None:
-            return False
-        return planner.prepared(problem()) is not None
+        self._question = _Question(problem, decision, self.clock(), future)
 
     @property
     def has_answer(self) -> bool:
@@ -472,20 +342,18 @@ class PlannerClient:
         """Give up the open question."""
         if self._question is not None:
             self._question.future.cancel()
-        self._question, self.was_answered_at_once = None, False
+        self._question = None
 
     def _is_due(self, question: _Question) -> bool:
-        return self.clock() - question.at_s >= question.delay_s - _CLOCK_RESOLUTION_S
+        return self.clock() - question.at_s >= (self._delay_s or 0.0) - _CLOCK_RESOLUTION_S
 
     def _answer(self, question: _Question) -> PlanningResult:
         engine = str(getattr(self._planner, "engine", type(self._planner).__name__))
         if not question.future.done():
             passed_s = self.clock() - question.at_s
             message = f"{engine} gave no answer in {passed_s:.3g} s"
-            advice = "allow more time or ask for less"
-            return PlanningResult(
-                Outcome.OUT_OF_TIME, engine=engine, message=f"{message}; {advice}"
-            )
+            message += "; allow more time or ask for less"
+            return PlanningResult(Outcome.OUT_OF_TIME, engine=engine, message=message)
         try:
             return question.future.result()
         except Exception as error:  # a planner of the user's own may raise anything
@@ -573,24 +441,16 @@ class PlanRecord:
     cause: int | None = None
     number: int = 0
 
-    def added_to(
-        self, plans: "tuple[PlanRecord, ...]", most: int = MEMORY
-    ) -> "tuple[PlanRecord, ...]":
+    def added_to(self, plans: "tuple[PlanRecord, ...]") -> "tuple[PlanRecord, ...]":
         """Return records with this one as the last, numbered; the oldest are left out."""
         number = plans[-1].number + 1 if plans else 1
-        return *plans[max(0, len(plans) + 1 - most) :], replace(self, number=number)
-
-    def _repr_html_(self) -> str:
-        steps = "".join(f"<li>{escape(str(step))}</li>" for step in self.steps)
-        text = f"{self.outcome} by {self.engine}, asked at {self.at_s:g} s: {self.reason}"
-        return f"<p>{escape(f'{text} {self.message}')}</p><ol>{steps}</ol>"
+        return *plans[1 - _MOST_RECORDS :], replace(self, number=number)
 
 
 @dataclass(frozen=True)
 class _DeadEnd:
     """A problem without a plan, why it has none, and when it is tried again in any case [s]."""
 
-    domain: Domain
     problem: Problem
     why: str
     until_s: float
@@ -607,34 +467,20 @@ class Replanning:
     """
 
     def __init__(
-        self,
-        goals: Goals,
-        monitor: PlanMonitor,
-        client: PlannerClient,
-        policy: ReplanningPolicy,
-        clash: Clash | None,
-        memory: int,
+        self, goals: Goals, monitor: PlanMonitor, client: PlannerClient, policy: ReplanningPolicy
     ) -> None:
-        if type(memory) is not int or memory < 1:
-            message = f"memory is {memory!r}, expected a whole number of plannings from 1"
-            raise PlannerSettingError(message)
-        self._memory = memory
         self._goals = goals
         self._monitor = monitor
         self._client = client
         self._policy = policy
-        self._clash = clash
         self._effects = monitor.effects
         self._clock = client.clock
-        self.matters = Relevance(monitor.effects.domain, goals).matters
+        self._matters = Relevance(monitor.effects.domain, goals).matters
         self._last_asked_s = -inf
         self._wanted: Decision | None = None
         self._diagnosis: tuple[Problem, str, Diagnosis] | None = None
-        self._asked_in = monitor.effects.domain
         self._dead_end: _DeadEnd | None = None
-        self._was_stale = False
         self.backoff = RetryBackoff(client.clock, policy)
-        self._in_vain = RetryBackoff(client.clock, policy)
         self.left_out: tuple[Goal, ...] = ()
         self._is_last_try = False
         self.records: tuple[PlanRecord, ...] = ()
@@ -643,7 +489,6 @@ class Replanning:
         """Forget the time of the last request, and all failures."""
         self._last_asked_s = -inf
         self.backoff.clear()
-        self._in_vain.clear()
 
     @property
     def hard(self) -> tuple[Goal, ...]:
@@ -658,11 +503,10 @@ class Replanning:
     def why_no_plan(self, state: State) -> str | None:
         """Return why there is no plan from a state, if that is known; None if the planner is asked."""
         dead_end = self._dead_end
-        if dead_end is None or dead_end.domain is not self._effects.domain:
+        if dead_end is None or self._clock() >= dead_end.until_s:
             return None
-        if self._clock() >= dead_end.until_s or not self._is_same(dead_end.problem.state, state):
-            return None
-        return dead_end.why if self._monitor.is_no_easier(dead_end.problem) else None
+        is_same = self._is_same(dead_end.problem, state)
+        return dead_end.why if is_same and self._monitor.is_no_easier(dead_end.problem) else None
 
     @property
     def had_no_plan(self) -> bool:
@@ -670,25 +514,10 @@ class Replanning:
         return self._dead_end is not None
 
     def want(self, decision: Decision) -> None:
-        """Note that a plan is wanted; if it is needed, the planning under way is given up.
-
-        After trouble, the planner gets no requests for plans that are not needed for a while.
-        """
-        is_kept = self._wanted is not None and self._wanted.is_needed
-        if is_kept or (not decision.is_needed and self._in_vain.wait_s(None)):
-            return
-        self._wanted = decision
-        if decision.is_needed:
-            self._client.give_up()
-            self._diagnosis = None
-
-    def goals_changed(self, *, is_needed: bool) -> None:
-        """Restart planning under way with the new goals; forget that there was no plan."""
-        self.forget_failures()
-        if self._client.is_under_way:
-            self._client.give_up()
-            self._diagnosis = None
-            self.want(Decision("the goals changed", is_needed))
+        """Note that a plan is wanted; the planning under way is given up."""
+        self._wanted = self._wanted or decision
+        self._client.give_up()
+        self._diagnosis = None
 
     def forget_failures(self) -> None:
         """Forget that there was no plan, and which goals are left out."""
@@ -702,7 +531,7 @@ class Replanning:
         self.left_out = ()
         self._is_last_try = True
         self.backoff.end_pauses()
-        self.want(Decision(f"the other goals are reached; once more {names}", is_needed=True))
+        self.want(Decision(f"the other goals are reached; once more {names}"))
 
     def ask_if_allowed(self, state: State, shares: Mapping[Step, float]) -> str | None:
         """Request the plan that is wanted, unless it is too soon; return what to show."""
@@ -711,19 +540,11 @@ class Replanning:
         now_s = self._clock()
         left_s = self._last_asked_s + self._policy.at_most_every_s - now_s
         left_s = max(left_s, self.backoff.wait_s(None))
-        if left_s > 0.0 and not self._client.is_prepared(lambda: self._problem(state, shares)):
+        if left_s > 0.0:
             return f"planning in {left_s:.2g} s: {self._wanted.reason}"
         decision = self._wanted
-        self._asked_in = self._effects.domain
-        self._client.ask(self._problem(state, shares), decision)
-        self._wanted = None
-        self._last_asked_s, self._dead_end = now_s, None
-        return f"planning: {decision.reason}"
-
-    def _problem(self, state: State, shares: Mapping[Step, float]) -> Problem:
-        """Return the problem for the planner."""
         until = self._monitor.until()
-        return Problem(
+        problem = Problem(
             domain=self._effects.domain,
             state=state,
             goals=tuple(goal.expression for goal in self.hard),
@@ -733,43 +554,43 @@ class Replanning:
             shares=shares if until else {},
             soft=self._goals.soft,
         )
+        self._client.ask(problem, decision)
+        self._wanted = self._dead_end = None
+        self._last_asked_s = now_s
+        return f"planning: {decision.reason}"
 
     def forget(self) -> None:
         """Give up wanted plans and planning under way; a known lack of a plan is kept."""
         self._client.give_up()
         self._wanted = self._diagnosis = None
 
-    def take(self, state: State) -> tuple[PlanExecution, Decision] | None:
-        """Take the answer; return the plan, or the safe step, with the decision that led to it."""
+    def take(self, state: State) -> PlanExecution | None:
+        """Take the answer; return the plan, if there is one."""
         question, result = self._client.take()
-        decision = question.decision
+        problem, decision = question.problem, question.decision
         if decision is None:
             self._diagnose(result, state)
             return None
-        outcome, domain = result.outcome, self._effects.domain
-        is_fresh = domain is self._asked_in and self._is_same(state, question.problem.state)
+        domain, outcome = self._effects.domain, result.outcome
         if outcome.is_solved:
             assumed = self._effects.assumptions(result.steps, state)
-            result = replace(result, assumptions=assumed)
+            result = replace(result, message="; ".join(assumed))
         self._record(question, decision, result)
         if not outcome.is_passing:
             self.backoff.forget(None)
-            self._in_vain.forget(None)
-        elif not decision.is_needed:
-            self._in_vain.add(None)
+        is_fresh = self._is_same(problem, state)
         if not outcome.is_solved:
-            if not decision.is_needed:
-                return None
-            return self._without_plan(question, result, state, is_fresh=is_fresh)
-        plan = PlanExecution.of(domain, result, self.hard, self._clash)
+            self._without_plan(problem, decision, result, state)
+            return None
+        plan = PlanExecution.of(domain, result, self.hard)
         if self._goals.soft:
-            plan = self._monitor.aimed(plan, question.problem.state, self.hard, self._goals.soft)
+            plan = self._monitor.aimed(plan, problem.state, self.hard, self._goals.soft)
         wrong = plan.prediction(domain, state).flaw if is_fresh else None
         if wrong is None:
-            return plan, decision
+            return plan
         # asking again would give the same answer
         why = f"no plan: what {result.engine} gave cannot be done event by event: {wrong}"
-        self._give_up(state, question.problem, why)
+        self._give_up(replace(problem, state=state), why)
         return None
 
     def _record(self, question: _Question, decision: Decision, result: PlanningResult) -> None:
@@ -779,76 +600,62 @@ class Replanning:
             outcome=result.outcome,
             steps=result.steps,
             engine=result.engine,
-            message=result.message or "; ".join(result.assumptions),
+            message=result.message,
             cause=decision.cause,
         )
-        self.records = record.added_to(self.records, self._memory)
+        self.records = record.added_to(self.records)
 
     def _without_plan(
-        self, question: _Question, result: PlanningResult, state: State, *, is_fresh: bool
-    ) -> tuple[PlanExecution, Decision] | None:
-        """Start a diagnosis or a retry, or conclude; return the safe step as a plan if it can start."""
-        outcome, domain = result.outcome, self._effects.domain
-        reason = question.decision.reason if question.decision is not None else ""
-        why = f"no plan: {result.message or reason}"
+        self, problem: Problem, decision: Decision, result: PlanningResult, state: State
+    ) -> None:
+        """Start a diagnosis or a retry, or conclude."""
+        outcome = result.outcome
+        why = f"no plan: {result.message or decision.reason}"
         if str(outcome) not in why:
-            why = f"no plan, {outcome}: {result.message or reason}"
-        was_stale, self._was_stale = self._was_stale, not is_fresh
+            why = f"no plan, {outcome}: {result.message or decision.reason}"
         if outcome.is_passing:  # it does not tell whether there is a plan
-            self._retry(question, f"{outcome} after {reason}", why, state)
-        elif not is_fresh:
-            self.want(Decision("the state changed during planning", is_needed=True))
+            is_over = self.backoff.add(None)
+            count = self.backoff.count(None)
+            if is_over:
+                left_s = self.backoff.wait_s(None)
+                why = f"{why}; tried {count} times, again in {left_s:.3g} s at the earliest"
+                self._give_up(replace(problem, state=state), why, self._clock() + left_s)
+            else:
+                text = f"{outcome} after {decision.reason}"
+                self.want(Decision(f"{text}: retry {count} of {self._policy.retries}"))
+        elif not self._is_same(problem, state):
+            self.want(Decision("the state changed during planning"))
         elif outcome.is_trouble:
-            self._conclude(state, question.problem, [why])
+            self._conclude(replace(problem, state=state), [why])
         else:
-            unsolved = replace(question.problem, weights=question.problem.weights, soft=())
+            unsolved = replace(problem, soft=())
             self._diagnosis = unsolved, why, diagnosis(unsolved, self.hard)
             self._diagnose(None, state)
-        safe = result.safe_step
-        # even if the state changes during every planning, the safe step is done
-        is_due = is_fresh or was_stale or outcome.is_passing
-        if safe is None or not is_due or safe in self.backoff.left_out:
-            return None
-        if missing_at_start(domain, safe, state) is not None:
-            return None
-        plan = PlanExecution.of(domain, PlanningResult(Outcome.SOLVED, (safe,)), ())
-        return plan, Decision("there is no plan", is_needed=True)
 
-    def _retry(self, question: _Question, reason: str, why: str, state: State) -> None:
-        """Ask again after a pause, or give up after too many retries."""
-        count = self.backoff.count(None) + 1
-        is_over = self.backoff.add(None)
-        left_s = self.backoff.wait_s(None)
-        if is_over:
-            why = f"{why}; tried {count} times, again in {left_s:.3g} s at the earliest"
-            self._give_up(state, question.problem, why, self._clock() + left_s)
-        else:
-            text = f"{reason}: retry {count} of {self._policy.retries}"
-            self.want(Decision(text, is_needed=True))
+    def _is_same(self, problem: Problem, state: State) -> bool:
+        """Whether a state is that of a problem in everything that a plan may depend on."""
+        is_same_domain = problem.domain is self._effects.domain
+        return is_same_domain and not any(map(self._matters, state ^ problem.state))
 
-    def _is_same(self, state: State, other: State) -> bool:
-        """Whether two states are the same in everything that a plan or a goal may depend on."""
-        return not any(map(self.matters, state ^ other))
-
-    def _give_up(self, state: State, problem: Problem, why: str, until_s: float = inf) -> None:
+    def _give_up(self, problem: Problem, why: str, until_s: float = inf) -> None:
         """Note that there is no plan.
 
         Planning is tried again when the pause of a step ends that is left out as it has failed.
         """
-        for step in self.backoff.left_out:
-            left_s = self.backoff.wait_s(step)
-            count = self.backoff.count(step)
-            why += f"; {step} has failed {count} times and is left out for {left_s:.3g} s"
-            until_s = min(until_s, self._clock() + left_s)
-        self._dead_end = _DeadEnd(self._effects.domain, replace(problem, state=state), why, until_s)
+        for step, weight in self.backoff.weights.items():
+            if not weight:
+                left_s = self.backoff.wait_s(step)
+                count = self.backoff.count(step)
+                why += f"; {step} has failed {count} times and is left out for {left_s:.3g} s"
+                until_s = min(until_s, self._clock() + left_s)
+        self._dead_end = _DeadEnd(problem, why, until_s)
 
     def _diagnose(self, answer: PlanningResult | None, state: State) -> None:
         """Continue the diagnosis or conclude it; if the state has changed meanwhile, replan."""
         assert self._diagnosis is not None
         problem, why, asking = self._diagnosis
-        if problem.domain is not self._effects.domain or not self._is_same(problem.state, state):
-            self._diagnosis = None
-            self.want(Decision("the state changed", is_needed=True))
+        if not self._is_same(problem, state):
+            self.want(Decision("the state changed"))
             return
         try:
             # a generator that has not started accepts no value
@@ -856,24 +663,21 @@ class Replanning:
         except StopIteration as concluded:
             self._diagnosis = None
             reasons: Reasons = concluded.value
-            left_out = tuple(goal for goal in self.hard if goal not in reasons.reachable)
-            is_worth_it = bool(reasons.reachable) and not self._is_last_try
             done = self._monitor.holding(reasons.reachable, state)
-            if is_worth_it and (len(done) < len(reasons.reachable)):
-                self._leave_out(left_out, why)
+            if not self._is_last_try and len(done) < len(reasons.reachable):
+                self._leave_out([goal for goal in self.hard if goal not in reasons.reachable], why)
             else:
-                self._conclude(state, problem, [why, *reasons.sentences])
+                self._conclude(replace(problem, state=state), [why, *reasons.sentences])
 
-    def _leave_out(self, goals: tuple[Goal, ...], why: str) -> None:
+    def _leave_out(self, goals: Sequence[Goal], why: str) -> None:
         """Leave out goals for now, and plan for the others."""
         self.left_out = (*self.left_out, *goals)
         names = ", ".join(goal.text for goal in goals)
-        self.want(Decision(f"{names} out of reach for now; the others first", is_needed=True))
+        self.want(Decision(f"{names} out of reach for now; the others first"))
         _LOG.info("%s left out: %s", names, why)
 
-    def _conclude(self, state: State, problem: Problem, why: Sequence[str]) -> None:
+    def _conclude(self, problem: Problem, why: Sequence[str]) -> None:
         sentences = [*why, *map(str, self._effects.unmet)]
-        skipped = [goal for goal in self._goals.hard if goal not in self.hard]
-        if skipped:
-            sentences.append(f"left out: {', '.join(goal.text for goal in skipped)}")
-        self._give_up(state, problem, "; ".join(sentences))
+        if self.left_out:
+            sentences.append(f"left out: {', '.join(goal.text for goal in self.left_out)}")
+        self._give_up(problem, "; ".join(sentences))

@@ -1,15 +1,15 @@
 """Evaluates formulas, effects and plans in a state: it validates every plan, whoever made it."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 from itertools import accumulate, permutations
 from math import inf
 from typing import NamedTuple
 
 from rosa_pddl.domain import (
-    TRUE,
+    OPERATORS,
     Binding,
     Domain,
     Effect,
@@ -29,8 +29,14 @@ from rosa_pddl.domain import (
     subject_of,
     text_of,
 )
-from rosa_pddl.grounding import UnsearchableError, binding_of, cost_of, derive, duration_of
-from rosa_pddl.reader import computed
+from rosa_pddl.grounding import (
+    Rule,
+    UnsearchableError,
+    binding_of,
+    cost_of,
+    duration_of,
+    layers_of,
+)
 
 Facts = AbstractSet[str]
 _MOST_STATES = 64
@@ -64,47 +70,44 @@ class Values:
         domain: what `load_domain` returned.
         facts: the true atoms, and the values of numbers that are part of a state.
         numbers: the values of other numbers, where they differ from the problem file.
+        derived: the derived atoms, if they are known already.
+        computed: the numbers that are part of the state, if they are known already.
     """
 
     def __init__(
-        self, domain: Domain, facts: Facts, numbers: Mapping[str, float] | None = None
+        self,
+        domain: Domain,
+        facts: Facts,
+        numbers: Mapping[str, float] | None = None,
+        derived: Facts | None = None,
+        computed: Mapping[str, Exact | None] | None = None,
     ) -> None:
         self.domain = domain
         self.facts = facts
         self._others = numbers or {}
-        self._in_state: dict[str, Exact] | None = None
-        self._derived: frozenset[str] | None = None
+        self._in_state = computed
+        self._derived = derived if domain.axioms else frozenset()
 
     def holds(self, formula: Formula, binding: Binding) -> bool:
         """Whether a formula holds, with objects for its variables."""
         head, *parts = formula
         if head == "atom":
             text = atom_text(parts[0], bound(parts[1], binding))
-            return text in self.facts or (bool(self.domain.axioms) and text in self.derived)
+            return text in self.facts or text in self.derived
         if head == "not":
             return not self.holds(parts[0], binding)
-        if head == "and":
-            return all(self.holds(part, binding) for part in parts)
-        if head == "or":
-            return any(self.holds(part, binding) for part in parts)
         if head == "same":
-            one, two = bound(parts, binding)
-            return one == two
-        if head == "in":
-            lineage = self.domain.types[binding.get(parts[0], parts[0])]
-            return any(kind in lineage for kind in parts[1])
+            first, second = bound(parts, binding)
+            return first == second
         if head in ("forall", "exists"):
             bindings = self.domain.bindings(parts[0], binding)
             results = (self.holds(parts[1], inner) for inner in bindings)
             return all(results) if head == "forall" else any(results)
+        if head in ("and", "or"):
+            results = (self.holds(part, binding) for part in parts)
+            return all(results) if head == "and" else any(results)
         left, right = (self.number(part, binding) for part in parts)
-        if left is None or right is None:
-            return False
-        if head == "=":
-            return left == right
-        if head == "!=":
-            return left != right
-        return left < right if head == "<" else left <= right
+        return left is not None and right is not None and OPERATORS[head](left, right)
 
     def number(self, number: Number, binding: Binding) -> Exact | None:
         """Return the exact value of a number; None if it, or a part of it, has none."""
@@ -117,21 +120,19 @@ class Values:
         values = [self.number(part, binding) for part in parts]
         if None in values or (head == "/" and 0 in values[1:]):
             return None
-        return computed(head, [value for value in values if value is not None])
+        return reduce(OPERATORS[head], values)
 
     def value_of(self, text: str) -> Exact | None:
         """Return the value of a number such as `(fuel rover)`."""
+        if head_of(text) not in self.domain.computed:
+            value = self._others.get(text, self.domain.numbers.get(text))
+            return None if value is None else exact(value)
         if self._in_state is None:
-            self._in_state = _numbers(frozenset(self.facts)) if self.domain.computed else {}
-        if text in self._in_state:
-            return self._in_state[text]
-        if head_of(text) in self.domain.computed:
-            return None
-        value = self._others.get(text, self.domain.numbers.get(text))
-        return None if value is None else exact(value)
+            self._in_state = _numbers(frozenset(self.facts))
+        return self._in_state.get(text)
 
     @property
-    def derived(self) -> frozenset[str]:
+    def derived(self) -> Facts:
         """The atoms that follow by the axioms."""
         if self._derived is None:
             self._derived = _derived(self.domain, frozenset(self.facts))
@@ -144,9 +145,19 @@ def _numbers(facts: State) -> dict[str, Exact]:
 
 
 @lru_cache(_MOST_STATES)
-def _derived(domain: Domain, facts: State) -> frozenset[str]:
-    values = Values(domain, facts)
-    return derive(domain, facts, lambda test: values.holds(test, {}))
+def _derived(domain: Domain, facts: State) -> Facts:
+    """Derive what follows from facts, layer by layer; checks look at lower layers only."""
+    derived = set[str]()
+    values = Values(domain, facts, derived=derived)
+
+    def accept(rule: Rule, binding: Binding) -> bool:
+        return all(values.holds(check, binding) for check in rule.checks)
+
+    for join in layers_of(domain):
+        rows = join.close(join.facts(domain, facts | derived), accept)
+        for name in rows.keys() & domain.derived:
+            derived.update(atom_text(name, row) for row in rows[name])
+    return derived
 
 
 def goal_holds(domain: Domain, state: Facts, goals: Iterable[Formula] | None = None) -> bool:
@@ -183,11 +194,6 @@ def missing_meanwhile(domain: Domain, step: Step, state: State) -> str | None:
     return missing_of(domain, conditions, step, state)
 
 
-def missing_at_end(domain: Domain, step: Step, state: State) -> str | None:
-    """Return the first condition of a step's end, as text, that does not hold; None if all do."""
-    return missing_of(domain, domain.schema_of[step.schema].end, step, state)
-
-
 def missing_of(domain: Domain, formulas: Iterable[Formula], step: Step, state: Facts) -> str | None:
     """Return the first formula, as text, that does not hold for a step; None if all do."""
     values = Values(domain, state)
@@ -200,15 +206,16 @@ def missing_of(domain: Domain, formulas: Iterable[Formula], step: Step, state: F
 
 def started(domain: Domain, step: Step, state: State) -> State:
     """Return the state after the start of a step."""
-    return _after(domain, domain.schema_of[step.schema].start_effects, step, state)
+    return _after(domain, step, state, is_end=False)
 
 
 def ended(domain: Domain, step: Step, state: State) -> State:
     """Return the state after the end of a step."""
-    return _after(domain, domain.schema_of[step.schema].end_effects, step, state)
+    return _after(domain, step, state, is_end=True)
 
 
-def _after(domain: Domain, effects: Iterable[Effect], step: Step, state: State) -> State:
+def _after(domain: Domain, step: Step, state: State, *, is_end: bool) -> State:
+    effects = domain.schema_of[step.schema].effects_at(is_end)
     deleted, added = changes(domain, effects, binding_of(domain, step), state)
     return frozenset((state - deleted) | added)
 
@@ -223,31 +230,26 @@ def changes(
     for effect in effects:
         if effect.is_numeric and effect.name not in domain.computed:
             continue
-        for inner in domain.bindings(effect.variables, binding) if effect.variables else (binding,):
-            if effect.condition != TRUE and not values.holds(effect.condition, inner):
+        for inner in domain.bindings(effect.variables, binding):
+            if not values.holds(effect.condition, inner):
                 continue
             text = atom_text(effect.name, bound(effect.terms, inner))
             if not effect.is_numeric:
                 (added if effect.kind == "add" else deleted).add(text)
                 continue
             amount = values.number(effect.amount, inner)
-            before = numbers.get(text, values.value_of(text))
-            numbers[text] = _changed(effect.kind, before, amount)
+            if effect.kind != "assign" and amount is not None:
+                before = numbers.get(text, values.value_of(text))
+                sign = 1 if effect.kind == "increase" else -1
+                amount = None if before is None else before + sign * amount
+            numbers[text] = amount
     for text, value in numbers.items():
+        before = values.value_of(text)
         if value is not None:
-            before = values.value_of(text)
             if before is not None:
                 deleted.add(number_fact(text, before))
             added.add(number_fact(text, value))
     return deleted, added
-
-
-def _changed(kind: str, before: Exact | None, amount: Exact | None) -> Exact | None:
-    if kind == "assign":
-        return amount
-    if before is None or amount is None:
-        return None
-    return before + amount if kind == "increase" else before - amount
 
 
 # ---------------------------------------------------------------- whole plans
@@ -310,17 +312,16 @@ def replay(
 def _too_late(
     domain: Domain, step: Step, end_s: float, left: Mapping[str, float], facts: Facts
 ) -> str | None:
+    """Return why a step ends too late for what it needs, or None."""
     gone = {atom for atom, left_s in left.items() if atom in facts and end_s - left_s > SAME_TIME_S}
-    if not gone:
+    conditions = domain.schema_of[step.schema].conditions
+    if not gone or missing_of(domain, conditions, step, facts - gone) is None:
         return None
-    binding = binding_of(domain, step)
-    now, then = Values(domain, facts), Values(domain, facts - gone)
-    for formula in domain.schema_of[step.schema].conditions:
-        if now.holds(formula, binding) and not then.holds(formula, binding):
-            needed = gone.intersection(mentioned_atoms(domain, [formula], (), binding))
-            over_s = end_s - min(left[atom] for atom in needed or gone)
-            return f"{step} would end in {end_s:.3g} s, too late by {over_s:.2g} s"
-    return None
+    if missing_of(domain, conditions, step, facts) is not None:
+        return None
+    needed = gone.intersection(mentioned_atoms(domain, conditions, (), binding_of(domain, step)))
+    over_s = end_s - min(left[atom] for atom in needed or gone)
+    return f"{step} would end in {end_s:.3g} s, too late by {over_s:.2g} s"
 
 
 def _happen(
@@ -341,20 +342,20 @@ def _happen(
         conditions = schema.end if is_end else schema.start
         if is_end and number in begun:
             conditions = ()
-        effects = schema.end_effects if is_end else schema.start_effects
         missing = missing_of(domain, conditions, step, facts)
         if missing is not None:
             return because(domain, step, missing)
+        effects = schema.effects_at(is_end)
         deleted, added = changes(domain, effects, binding, facts)
         gone |= deleted
         come |= added
         if len(moment) > 1:
             read = set(mentioned_atoms(domain, conditions, effects, binding))
             touched.append((number, read, {subject_of(fact) for fact in deleted | added}))
-    for (one, needed, changed), (other, _, changed_too) in permutations(touched, 2):
-        shared = changed_too & (needed | changed)
-        if one != other and shared:
-            both = f"{steps[one]} and {steps[other]}"
+    for (number, needed, changed), (other, _, also_changed) in permutations(touched, 2):
+        shared = also_changed & (needed | changed)
+        if number != other and shared:
+            both = f"{steps[number]} and {steps[other]}"
             return f"{both} get in each other's way over {min(shared)}"
     facts -= gone
     facts |= come
@@ -439,26 +440,28 @@ def _lasts_as_declared(values: Values, timed: TimedStep) -> bool:
     if duration is None:
         return timed.duration_s == 0.0
     binding = binding_of(domain, timed.step)
-    least, most = (
-        None if names_in([bound_s]) & domain.computed else values.number(bound_s, binding)
-        for bound_s in duration
-    )
-    is_long = least is None or timed.duration_s >= least - SAME_TIME_S
-    is_short = most is None or timed.duration_s <= most + SAME_TIME_S
-    return is_long and is_short and timed.duration_s > 0.0
+    bounds = list[float]()
+    for bound_s, otherwise in zip(duration, (0.0, inf), strict=True):
+        is_fixed = not names_in([bound_s]) & domain.computed
+        value = values.number(bound_s, binding) if is_fixed else None
+        bounds.append(otherwise if value is None else float(value))
+    least, most = bounds
+    return timed.duration_s > 0.0 and least - SAME_TIME_S <= timed.duration_s <= most + SAME_TIME_S
 
 
 def moments(schedule: Sequence[TimedStep]) -> Iterator[list[StepEvent]]:
     """Yield the events of each moment, one moment after the other."""
-    dated = [(timed.start_s, StepEvent(number, False)) for number, timed in enumerate(schedule)]
-    dated += [(timed.end_s, StepEvent(number, True)) for number, timed in enumerate(schedule)]
+    events = list[tuple[float, StepEvent]]()
+    for number, timed in enumerate(schedule):
+        events.append((timed.start_s, StepEvent(number, False)))
+        events.append((timed.end_s, StepEvent(number, True)))
     together: list[StepEvent] = []
     began_s = -inf
-    for at_s, event in sorted(dated):
-        if together and at_s - began_s > SAME_TIME_S:
-            yield together
+    for at_s, event in sorted(events):
+        if at_s - began_s > SAME_TIME_S:
+            if together:
+                yield together
             together = []
-        if not together:
             began_s = at_s
         together.append(event)
     if together:
@@ -534,26 +537,21 @@ def affected_atoms(domain: Domain, effects: Iterable[Effect], binding: Binding) 
 
 def _atoms(domain: Domain, formula: Formula, binding: Binding, seen: set[str]) -> Iterator[str]:
     head, *parts = formula
-    if head in ("atom", "n") and len(parts) == 2:
+    if head in ("atom", "n"):
         text = atom_text(parts[0], bound(parts[1], binding))
-        axioms = domain.axioms.get(parts[0].lower()) if domain.axioms else None
+        axioms = domain.axioms.get(parts[0].lower())
         if axioms is None:
             yield text
         elif text not in seen:
             seen.add(text)
-            objects = text[1:-1].split()[1:]
             for axiom in axioms:
                 names = [name for name, _ in axiom.variables]
-                arguments = dict(zip(names, objects, strict=True))
+                arguments = dict(zip(names, text[1:-1].split()[1:], strict=True))
                 yield from _atoms(domain, axiom.condition, arguments, seen)
     elif head in ("forall", "exists"):
         for inner in domain.bindings(parts[0], binding):
             yield from _atoms(domain, parts[1], inner, seen)
-    elif head not in ("same", "in"):
+    elif head != "same":
         for part in parts:
             if isinstance(part, tuple):
                 yield from _atoms(domain, part, binding, seen)
-
-
-Clash = Callable[[Step, Step], bool]
-"""Tells whether two steps must not run at the same time, whatever they need and change."""

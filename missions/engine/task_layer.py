@@ -95,7 +95,7 @@ def build_task(
     domain = mission_domain(mission)
     engine, *fallback = mission.engines or (None,)
     planner = Planner(engine, fallback=[name for name in fallback if name])
-    missing = planner.missing(domain)
+    missing = planner.missing()
     if missing is not None:
         raise MissionError(missing)
     errors: list[Exception] = []

@@ -8,7 +8,7 @@ from figures import percentiles, shown, table
 from numpy.random import default_rng
 
 from rosa_pddl import Outcome, Planner, Problem, flaw, initial_state, load_domain
-from rosa_pddl.engines import up_problem_of
+from rosa_pddl.worker import up_problem_of
 
 pytestmark = pytest.mark.benchmark
 
@@ -35,7 +35,7 @@ def timed(act, *arguments):
 
 
 def by_unified_planning(problem):
-    up_problem = up_problem_of(problem.write("costs"))
+    up_problem = up_problem_of(*problem.write("costs")[:2])
     factory = up_problem.environment.factory
     up_problem.environment.credits_stream = None
     with factory.OneshotPlanner(name="fast-downward") as planner:
@@ -45,7 +45,7 @@ def by_unified_planning(problem):
 def test_replanning_strategies_side_by_side(tables):
     domain = extended()
     problems = [Problem(domain, state) for state in states_of(domain, STATES)]
-    planners = {"search": Planner(cached=0), "kairos": Planner("kairos", cached=0)}
+    planners = {"search": Planner(), "kairos": Planner("kairos")}
     times = dict[str, list[float]]()
     wrong = 0
     for name, planner in planners.items():

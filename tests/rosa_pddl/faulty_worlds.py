@@ -54,7 +54,7 @@ class Ground:
           (:init (go_action go) (swim_action swim) (look_action look) (at p0) (= (total-cost) 0) {" ".join(facts)})
           (:goal (and {goal})) (:metric minimize (total-cost)))"""
         self.domain, self.far = parse_domain(DOMAIN, problem), far
-        self.planner = Planner(safe_step="(rest)")
+        self.planner = Planner()
 
 
 class Doing(Behaviour):
@@ -97,10 +97,7 @@ class Faulty:
     def start(self, problem):
         future = Future()
         if self.world.rng.random() < self.world.troubles:
-            safe = self.world.domain.step("rest", [])
-            future.set_result(
-                PlanningResult(Outcome.ENGINE_CRASHED, engine="faulty", safe_step=safe)
-            )
+            future.set_result(PlanningResult(Outcome.ENGINE_CRASHED, engine="faulty"))
         else:
             future.set_result(self.planner.plan(problem))
         return future
@@ -148,11 +145,7 @@ def reachable(ground, world):
 def episode(ground, seed):
     """Let things go wrong for a while, then leave it in peace; return how many plans there were, and how it ended."""
     rng = default_rng(seed)
-    policy = ReplanningPolicy(
-        eager=bool(rng.integers(2)),
-        at_most_every_s=float(rng.choice([0.0, 0.2])),
-        while_planning=str(rng.choice(["continue", "hold"])),
-    )
+    policy = ReplanningPolicy(at_most_every_s=float(rng.choice([0.0, 0.2])))
     planner = Faulty(ground.planner)
     world = World(ground.domain, planner, task=Doing, policy=policy)
     planner.world = world

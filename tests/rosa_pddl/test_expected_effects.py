@@ -237,7 +237,7 @@ def test_nothing_but_the_step_that_did_not_help_is_not_relied_upon(roads):
     kb.unfeasible = {"drive"}
     effects = ExpectedEffects(domain, kb)
     state = initial_state(domain) | {"(action_feasible mend)", "(action_feasible walk)"}
-    planner = Planner(cached=0)
+    planner = Planner()
     for tool in ("glue", "jack"):
         result = planner.plan(Problem(effects.domain, state))
         assert [attempt.strategy for attempt in result.attempts] == ["search"]

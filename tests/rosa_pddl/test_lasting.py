@@ -10,9 +10,6 @@ from rosa_pddl import (
     LastingFeasibility,
     PlanExecutor,
     Planner,
-    Problem,
-    certificate,
-    initial_state,
     load_domain,
     parse_domain,
 )
@@ -187,14 +184,14 @@ def boat(clock):
 class Boat:
     """Surveys by daylight, which goes, once it is there, or else probes at once, which is dear."""
 
-    def __init__(self, light, *, lasting=True, tide=1.0, sensed=(), safe_step=None):
+    def __init__(self, light, *, lasting=True, tide=1.0, sensed=()):
         self.now, self.log, self.takes, self.light = 0.0, [], TAKES, light
         self.kb = boat(lambda: self.now)
         self.kb.measure("tide", tide)
         self.kb.measure("light", light)
         self.domain = parse_domain(SURVEY, BY_DAY)
         self.lasting = LastingFeasibility(self.kb, self.domain)
-        self.planner = Planner(safe_step=safe_step)
+        self.planner = Planner()
         self.executor = PlanExecutor(
             "survey",
             kb=self.lasting if lasting else self.kb,
@@ -303,30 +300,6 @@ def test_no_plan_says_that_it_is_for_what_is_forecast_and_is_looked_for_again_on
     assert (one.executor.status, len(one.reasons)) == (Status.FAILURE, asked)
     one.light += 0.3
     assert one.run(100) == done("sail", "look")
-
-
-def test_certified_plan_for_what_is_forecast_to_become_unfeasible_is_used_at_once():
-    domain = parse_domain(DOMAIN, PROBLEM)
-    inspect, charge = map(domain.feasible_atom, ("inspect", "charge"))
-    state = initial_state(domain) | {inspect, charge}
-    certified = certificate(
-        domain,
-        lambda out: Problem(domain, state.difference(map(domain.feasible_atom, out))),
-        Planner(),
-    )
-
-    def steps(until):
-        found = certified.prepared(Problem(domain, state, until=until))
-        return found and [step.schema for step in found.steps]
-
-    assert steps({inspect: 20.0}) == ["inspect"]
-    assert steps({inspect: 19.0}) == ["charge", "inspect"]
-    assert steps({inspect: 19.0, charge: 4.0}) is None
-
-
-def test_what_is_safe_is_done_also_if_it_could_not_be_finished(sailing):
-    one = sailing(0.4, tide=0.0, sensed=("(there)",), safe_step="(look look)")
-    assert one.run(5) == ["look begun"]
 
 
 def test_same_events_give_the_same_times_to_plan_with(sailing):

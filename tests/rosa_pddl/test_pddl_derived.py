@@ -12,7 +12,6 @@ from rosa_pddl import (
     Outcome,
     Planner,
     Problem,
-    ReplanningPolicy,
     UnsupportedPddlError,
     initial_state,
     parse_domain,
@@ -87,7 +86,7 @@ def test_what_is_derived_follows_what_changes_while_a_plan_runs():
         """(define (problem p) (:domain net) (:objects a b c - room) (:init (at a) (door a b) (door b c) (open a b))
           (:goal (at c)))""",
     )
-    world = World(domain, policy=ReplanningPolicy(side_by_side=True))
+    world = World(domain)
     world.run(until="go")
     assert world.plans() == [["unlock", "go"]]
     assert world.executor.holds("(connected a c)")

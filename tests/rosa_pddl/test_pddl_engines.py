@@ -7,8 +7,6 @@ import threading
 import pytest
 
 from rosa_pddl import Outcome, Planner, Problem, flaw, initial_state, parse_domain
-from rosa_pddl.engines import ProcessHandle
-from rosa_pddl.problem import PlanningFailed
 
 PUMP = """(define (domain d) (:predicates (full) (open)) (:functions (level))
   (:action pump :effect (increase (level) 1))
@@ -29,7 +27,7 @@ def problem_of(domain):
 
 @pytest.fixture
 def kairos():
-    planner = Planner("kairos", 60.0, cached=0)
+    planner = Planner("kairos", 60.0)
     yield planner
     planner.close()
 
@@ -47,7 +45,7 @@ def test_kairos_goal_out_of_reach_is_proven(kairos):
 def test_kairos_crash_is_an_outcome_and_starts_anew(kairos):
     problem = problem_of(pump())
     assert kairos.plan(problem).outcome.is_solved
-    worker = kairos.kairos
+    worker = kairos.process
     threading.Timer(0.0, os.killpg, (worker._process.pid, signal.SIGKILL)).start()
     worker._process.wait()
     assert kairos.plan(problem).outcome.is_solved
@@ -55,7 +53,7 @@ def test_kairos_crash_is_an_outcome_and_starts_anew(kairos):
 
 def test_kairos_killed_during_a_question_has_a_name(kairos):
     kairos.plan(problem_of(pump()))
-    worker = kairos.kairos
+    worker = kairos.process
     os.killpg(worker._process.pid, signal.SIGSTOP)
     future = kairos.start(problem_of(pump("(open)")))
     os.killpg(worker._process.pid, signal.SIGKILL)
@@ -83,16 +81,6 @@ def test_planner_leaves_numbers_beyond_its_cap_to_kairos():
 def test_fast_downward_plans_by_its_own_translator(extended, engine):
     facts = {"(action_feasible recharge)"}
     problem = Problem(extended, initial_state(extended) | facts)
-    result = Planner(engine, 60.0, moves=0, cached=0).plan(problem)
+    result = Planner(engine, 60.0, moves=0).plan(problem)
     assert [step.schema for step in result.steps][-2:] == ["search_pipeline", "inspect_pipeline"]
     assert result.engine == engine
-
-
-def test_late_program_is_killed():
-    with pytest.raises(PlanningFailed, match="no answer after"):
-        ProcessHandle().run(["sleep", "1000"], limit_s=0.2)
-
-
-def test_program_may_hold_so_much_memory_and_no_more():
-    command = ["python3", "-c", "x = bytearray(1 << 30)"]
-    assert ProcessHandle(256 << 20).run(command, limit_s=60.0).code != 0

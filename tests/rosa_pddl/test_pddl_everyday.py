@@ -46,21 +46,6 @@ def grid():
     )
 
 
-def test_derived_atoms_are_looked_at_once_per_new_fact(monkeypatch):
-    looks = []
-    from rosa_pddl import grounding
-
-    complete = grounding.Join._complete
-    monkeypatch.setattr(
-        grounding.Join,
-        "_complete",
-        lambda self, *arguments: looks.append(1) or complete(self, *arguments),
-    )
-    world = World(grid())
-    assert world.run() is Status.SUCCESS
-    assert len(looks) < 4_000  # with every binding of nodes and switches: 13,000 in each state
-
-
 class Look(TickCounter):
     """Looks for two ticks; whether it succeeds is said."""
 
@@ -164,7 +149,7 @@ def planned(kb):
     domain = parse_domain(CURE, FIELD)
     state = initial_state(domain)
     state |= {atom for atom, action in domain.feasibility.items() if kb.is_feasible(action)}
-    result = Planner(cached=0).plan(Problem(without_hopeless(domain, kb), state))
+    result = Planner().plan(Problem(without_hopeless(domain, kb), state))
     return result, assumptions(domain, kb, result.steps, state)
 
 

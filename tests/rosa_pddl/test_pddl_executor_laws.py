@@ -35,12 +35,7 @@ EVENTS = st.one_of(
     st.tuples(st.just("interrupt"), st.none()),
     st.tuples(st.just("wait"), st.integers(1, 6)),
 )
-POLICIES = st.builds(
-    ReplanningPolicy,
-    eager=st.booleans(),
-    at_most_every_s=st.sampled_from([0.0, 0.2, 0.5]),
-    while_planning=st.sampled_from(["continue", "hold"]),
-)
+POLICIES = st.builds(ReplanningPolicy, at_most_every_s=st.sampled_from([0.0, 0.2, 0.5]))
 PLANNER = Planner()
 
 

@@ -1,13 +1,9 @@
 """When the executor plans anew, what runs meanwhile, and what it says when nothing helps."""
 
-import gc
-import tracemalloc
 from concurrent.futures import Future
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pddl_world import World, load_text
 from py_trees.common import Status
 
@@ -17,11 +13,9 @@ from rosa_pddl import (
     Planner,
     PlannerSettingError,
     PlanningResult,
-    PlanRecord,
     ReplanningPolicy,
     SensingError,
 )
-from rosa_pddl.replanning import MEMORY, decide
 
 WAYS = """(define (domain ways) (:requirements :typing)
   (:types action)
@@ -67,41 +61,6 @@ def test_a_running_step_that_the_new_plan_starts_with_runs_on(ways):
     ]
 
 
-def test_a_long_mission_keeps_the_last_plannings_with_their_numbers_and_does_not_grow(ways):
-    world = World(ways, memory=20)
-    world.kb.unfeasible = {"right"}
-    world.ticks = {"start": 1_000_000}
-    held = []
-    tracemalloc.start()
-    for count in (300, 300):
-        for _ in range(count):
-            world.kb.unfeasible = {"left", "right"} - world.kb.unfeasible
-            for _ in range(4):
-                world.tick()
-        gc.collect()
-        held.append(tracemalloc.get_traced_memory()[0])
-    tracemalloc.stop()
-    numbers = [record.number for record in world.executor.plans]
-    assert len(numbers) == 20
-    assert numbers == list(range(numbers[0], numbers[0] + 20))
-    assert numbers[0] > 500
-    assert held[1] - held[0] < 20_000
-
-
-def test_of_many_plannings_the_oldest_are_forgotten_unless_asked_otherwise(ways):
-    plans = ()
-    for number in range(MEMORY + 50):
-        plans = PlanRecord(float(number), "why", Outcome.SOLVED, (), "engine").added_to(plans)
-    assert (len(plans), plans[0].number, plans[0].at_s, plans[-1].number) == (
-        MEMORY,
-        51,
-        50.0,
-        MEMORY + 50,
-    )
-    with pytest.raises(PlannerSettingError, match="memory is 0, expected a whole number"):
-        World(ways, memory=0)
-
-
 def test_when_there_is_no_way_on_what_runs_is_stopped_and_it_fails(ways):
     world = world_of(ways)
     world.ticks = {"start": 1000}
@@ -112,19 +71,6 @@ def test_when_there_is_no_way_on_what_runs_is_stopped_and_it_fails(ways):
     assert world.now_s < 1.0
 
 
-def test_a_policy_that_holds_stops_it_and_starts_it_again(ways):
-    world = world_of(ways, while_planning="hold")
-    world.run(until="start")
-    world.kb.unfeasible = {"left"}
-    assert world.run() is Status.SUCCESS
-    assert [what for _, name, what in world.log if name == "start"] == [
-        "begins",
-        "INVALID",
-        "begins",
-        "SUCCESS",
-    ]
-
-
 def test_a_step_that_ends_while_the_plan_is_made_is_not_done_again(ways):
     world = world_of(ways)
     world.ticks = {"start": 3}
@@ -133,30 +79,6 @@ def test_a_step_that_ends_while_the_plan_is_made_is_not_done_again(ways):
     assert world.run() is Status.SUCCESS
     assert begun(world) == ["start", "right"]
     assert world.plans()[1] == ["start", "right"]
-
-
-def test_something_better_is_looked_for_only_if_the_policy_says_so(ways):
-    patient, eager = world_of(ways), world_of(ways, eager=True)
-    for world in (patient, eager):
-        world.run(until="start")
-        world.facts = {"(open)": True}
-        assert world.run() is Status.SUCCESS
-    assert begun(patient) == ["start", "left"]
-    assert begun(eager) == ["start", "shortcut"]
-    assert eager.executor.plans[1].reason == "something better may be possible: (open)"
-    assert ("start", "INVALID") in [(name, what) for _, name, what in eager.log]
-
-
-def test_a_plan_that_is_not_better_changes_nothing(ways):
-    world = world_of(ways, eager=True)
-    world.run(until="start")
-    world.kb.unfeasible = set()
-    assert world.run() is Status.SUCCESS
-    assert [record.reason for record in world.executor.plans] == [
-        "start",
-        "something better may be possible: (action_feasible right)",
-    ]
-    assert begun(world) == ["start", "left"]
 
 
 def test_plans_are_asked_for_no_more_often_than_the_policy_allows(ways):
@@ -171,40 +93,6 @@ def test_plans_are_asked_for_no_more_often_than_the_policy_allows(ways):
     assert "left(left) failed" in world.executor.feedback_message
     assert world.run() is Status.SUCCESS
     assert [record.at_s for record in world.executor.plans] == [0.0, pytest.approx(2.0)]
-
-
-class Safe:
-    """A planner that finds nothing until told otherwise, and knows what to do meanwhile."""
-
-    timeout_s = 120.0
-
-    def __init__(self, domain):
-        self.planner = Planner(safe_step="(start)")
-        self.domain = domain
-
-    def start(self, problem):
-        return self.planner.start(problem)
-
-
-def test_while_there_is_no_plan_the_safe_step_is_done(ways):
-    world = World(ways, Safe(ways))
-    world.ticks = {"start": 5}
-    world.kb.unfeasible = {"left", "right"}
-    world.run(until="start")
-    assert world.executor.plans[0].outcome is Outcome.UNSOLVABLE_PROVEN
-    world.tick()
-    world.kb.unfeasible = {"right"}
-    assert world.run() is Status.SUCCESS
-    assert begun(world) == ["start", "left"]
-
-
-def test_when_the_safe_step_is_done_and_nothing_has_changed_it_fails_by_name(ways):
-    world = World(ways, Safe(ways))
-    world.facts = {"(half)": True}
-    world.kb.unfeasible = {"left", "right"}
-    assert world.run() is Status.FAILURE
-    assert begun(world) == ["start"]
-    assert "unsolvable proven" in world.executor.feedback_message
 
 
 def test_a_goal_that_no_situation_allows_is_said_to_be_out_of_reach_whatever_is_feasible(ways):
@@ -251,57 +139,6 @@ def test_a_number_that_is_not_mentioned_any_more_stays_what_it_was(roads):
     assert begun(world) == ["around", "back"]
 
 
-@pytest.mark.parametrize("eager", [True, False])
-def test_a_number_that_changed_is_news_to_an_eager_executor_only(roads, eager):
-    world = World(roads, policy=ReplanningPolicy(eager=eager))
-    world.ticks = {"pay": 20}
-    world.run(until="pay")
-    world.facts = {"(toll)": 9.0}
-    assert world.run() is Status.SUCCESS
-    assert begun(world) == (["pay", "around", "back"] if eager else ["pay"])
-    if eager:
-        assert world.executor.plans[1].reason == "something better may be possible: (toll) is 9"
-
-
-LOADS = """(define (domain loads) (:predicates (picked) (open) (there))
-  (:functions (total-cost) (load) (speed))
-  (:action pick :effect (and (picked) (increase (load) 5) (increase (total-cost) 1)))
-  (:action carry :precondition (picked) :effect (and (there) (increase (total-cost) (/ (load) (speed)))))
-  (:action crane :precondition (and (picked) (open)) :effect (and (there) (increase (total-cost) 3))))
-"""
-LOADS_PROBLEM = """(define (problem p) (:domain loads) (:init (= (load) 0) (= (speed) 1)) (:goal (there))
-  (:metric minimize (total-cost)))
-"""
-
-
-@pytest.fixture(scope="module")
-def loads(tmp_path_factory):
-    return load_text(tmp_path_factory.mktemp("loads"), LOADS, LOADS_PROBLEM)
-
-
-def carrying(loads):
-    world = World(loads, policy=ReplanningPolicy(eager=True))
-    world.ticks = {"carry": 9}
-    world.run(until="carry")
-    world.facts = {"(open)": True}
-    return world
-
-
-def test_plans_are_compared_by_what_steps_cost_with_the_numbers_that_have_changed_by_now(loads):
-    world = carrying(loads)
-    assert world.run() is Status.SUCCESS
-    assert begun(world) == ["pick", "carry", "crane"]
-
-
-def test_where_it_is_not_known_what_a_step_costs_the_plan_stays(loads):
-    world = carrying(loads)
-    world.tick()
-    world.facts = {"(open)": True, "(speed)": 0.0}  # while the answer is on its way
-    assert world.run() is Status.SUCCESS
-    assert begun(world) == ["pick", "carry"]
-    assert Outcome.SOLVED_OPTIMALLY in [record.outcome for record in world.executor.plans[1:]]
-
-
 @pytest.mark.parametrize(
     ("sensed", "message"),
     [
@@ -327,26 +164,12 @@ def test_what_is_sensed_and_makes_no_sense_is_an_error_that_says_what_was_expect
 
 # ------------------------------------------------------------------ the decision, which is pure
 
-REASONS = st.sampled_from([None, "late", "blocked"])
-POLICIES = st.builds(
-    ReplanningPolicy, st.booleans(), st.floats(0.0, 9.0), st.sampled_from(["hold", "continue"])
-)
-
-
-@given(policy=POLICIES, flaw=REASONS, changed=st.booleans(), news=REASONS)
-def test_a_plan_is_given_up_exactly_when_it_has_a_flaw(policy, flaw, changed, news):
-    decision = decide(policy, flaw=flaw, goals_changed=changed, news=news)
-    assert (decision is not None and decision.is_needed) == (flaw is not None)
-    assert (decision is None) == (
-        flaw is None and not changed and not (policy.eager and news is not None)
-    )
-
 
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
         ({"at_most_every_s": -1.0}, "at_most_every_s is -1"),
-        ({"while_planning": "wait"}, "'continue' or 'hold'"),
+        ({"overrun": 1.0}, "overrun is 1"),
     ],
 )
 def test_a_policy_that_makes_no_sense_is_refused(setting, message):

@@ -49,7 +49,7 @@ def texts(name):
 
 def shuffled(text, rng):
     """The same sections in another order; all but the first two words of the file."""
-    root = parse(text, "file").root
+    root = parse(text, "file")
     sections = [str(node) for node in root.children[2:]]
     rng.shuffle(sections)
     return "\n".join([f"(define {root.children[1]}", *sections, ")"])

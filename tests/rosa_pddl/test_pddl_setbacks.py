@@ -2,12 +2,11 @@
 
 from collections import Counter
 from concurrent.futures import Future
-from itertools import count, pairwise
+from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.random import default_rng
 from pddl_world import World, load_text
 from py_trees.common import Status
 
@@ -63,39 +62,6 @@ def ticks(world, seconds, each=lambda: None):
 # ------------------------------------------------------------------ facts that matter, and facts that do not
 
 
-def test_the_safe_step_is_done_and_the_failure_told_while_irrelevant_facts_change(ways):
-    world, number = World(ways, Planner(safe_step="(surface)")), count()
-
-    def change():
-        world.facts = {"(noise)": next(number) % 2 == 0}
-        world.kb.unfeasible = {"other"} if world.facts["(noise)"] else set()
-
-    statuses = ticks(world, 5.0, change)
-    assert begun(world) == {"surface": 1}
-    assert ("surface", "SUCCESS") in [(name, what) for _, name, what in world.log]
-    assert statuses[-1] is Status.FAILURE
-    assert len(world.executor.plans) == 1
-
-
-def test_the_safe_step_is_done_soon_while_relevant_facts_change_with_every_tick(ways):
-    world, number = World(ways, Planner(safe_step="(surface)")), count()
-    world.ticks = {"surface": 5}
-
-    def change():
-        world.kb.unfeasible = {"swim"} if next(number) % 2 else set()
-
-    ticks(world, 2.0, change)
-    assert ("surface", "SUCCESS") in [(name, what) for _, name, what in world.log]
-
-
-def test_what_cannot_matter_is_no_news_for_an_eager_executor(ways):
-    world, number = World(ways, policy=ReplanningPolicy(eager=True)), count()
-    world.facts = {"(damp)": False}
-    world.ticks = {"near": 30}
-    ticks(world, 2.0, lambda: world.facts.update({"(noise)": next(number) % 2 == 0}))
-    assert len(world.executor.plans) == 1
-
-
 # ------------------------------------------------------------------ trouble is no proof
 
 
@@ -104,14 +70,12 @@ class PlanningFailedd:
 
     timeout_s = 120.0
 
-    def __init__(self, troubles, outcome=Outcome.ENGINE_CRASHED, safe=None):
-        self.left, self.outcome, self.safe, self.planner = troubles, outcome, safe, Planner()
+    def __init__(self, troubles, outcome=Outcome.ENGINE_CRASHED):
+        self.left, self.outcome, self.planner = troubles, outcome, Planner()
 
     def start(self, problem):
         future = Future()
-        trouble = PlanningResult(
-            self.outcome, engine="odd", message=f"{self.outcome}", safe_step=self.safe
-        )
+        trouble = PlanningResult(self.outcome, engine="odd", message=f"{self.outcome}")
         future.set_result(trouble if self.left else self.planner.plan(problem))
         self.left -= self.left > 0
         return future
@@ -127,51 +91,6 @@ def test_one_trouble_of_a_planner_is_not_remembered_as_no_plan(ways, outcome):
         "solved optimally",
     ]
     assert world.executor.plans[1].reason == f"{outcome} after start: retry 1 of 3"
-
-
-def eager(ways):
-    """Return a world under way, its planner, and what changes the one and brings the other trouble."""
-    planner = PlanningFailedd(0)
-    world = World(ways, planner, delay_s=None, policy=ReplanningPolicy(eager=True))
-    world.facts, world.ticks, number = {"(damp)": False}, {"near": 10_000}, count()
-    assert world.tick() is Status.RUNNING
-
-    def change():
-        planner.left, world.facts = 10**6, {"(damp)": False, "(near)": 1.0 + next(number) / 1000}
-
-    return world, planner, change
-
-
-def test_a_planner_in_trouble_is_asked_ever_less_often_for_what_is_not_needed_and_at_once_for_what_is(
-    ways,
-):
-    world, planner, change = eager(ways)
-    ticks(world, 60.0, change)
-    asked = len(world.executor.plans)
-    assert 5 < asked < 15
-    assert begun(world) == {"near": 1}
-    planner.left = 0
-    world.executor.goals.add("(safe)")
-    ticks(world, 0.3)
-    assert [sorted(plan) for plan in world.plans()[asked:]] == [["near", "surface"]]
-
-
-def test_once_nothing_is_waited_for_any_more_what_is_not_needed_is_asked_at_once_too(ways):
-    world, _, change = eager(ways)
-    ticks(world, 30.0, change)  # the next pause ends at 51 s
-    asked = len(world.executor.plans)
-    world.executor.reset_backoff()
-    ticks(world, 0.2, change)
-    assert len(world.executor.plans) == asked + 1
-
-
-def test_with_trouble_the_safe_step_is_begun_at_once_and_the_plan_made_anew_beside_it(ways):
-    world = World(ways, PlanningFailedd(2, safe=ways.step("surface", [])))
-    world.facts = {"(damp)": False}
-    world.ticks = {"surface": 100}
-    assert world.run() is Status.SUCCESS
-    assert world.log[:2] == [(0.2, "surface", "begins"), (1.2, "surface", "INVALID")]
-    assert begun(world) == {"surface": 1, "near": 1}
 
 
 def test_trouble_that_lasts_is_asked_ever_less_often_told_and_never_for_good(ways):
@@ -246,7 +165,7 @@ def test_a_step_counts_as_often_as_it_has_to_be_tried(tries):
         costs={"(far)": 3.5},
         weights={domain.step("near", []): tries},
     )
-    for planner in (Planner(cached=0), Planner(cached=0, moves=0), Planner(cached=0)):
+    for planner in (Planner(), Planner(moves=0)):
         steps = [step.schema for step in planner.plan(problem).steps]
         assert steps == (["near"] if 0 < tries < 3.5 else ["far"])
 
@@ -254,66 +173,7 @@ def test_a_step_counts_as_often_as_it_has_to_be_tried(tries):
 # ------------------------------------------------------------------ costs that change
 
 
-def test_an_eager_executor_arrives_although_costs_change_with_every_tick(ways):
-    world, rng = World(ways, policy=ReplanningPolicy(eager=True)), default_rng(0)
-    world.ticks = {"near": 30, "far": 30}
-
-    def change():
-        world.facts = {
-            "(damp)": False,
-            "(near)": rng.uniform(8.0, 12.0),
-            "(far)": rng.uniform(8.0, 12.0),
-        }
-
-    assert Status.SUCCESS in ticks(world, 20.0, change)
-    assert sum(begun(world).values()) <= 6
-
-
-def test_of_a_running_step_only_what_is_left_is_charged(ways):
-    world = World(ways, policy=ReplanningPolicy(eager=True))
-    world.facts, world.ticks = (
-        {"(damp)": False, "(near)": 10.0, "(far)": 20.0},
-        {"near": 30, "far": 30},
-    )
-    assert world.run() is Status.SUCCESS  # now it is known how long it takes
-    world.facts = {**world.facts, "(there)": False}
-    world.tick()
-    ticks(world, 2.5)
-    world.facts = {**world.facts, "(far)": 5.0}
-    ticks(world, 0.4)
-    assert len(world.executor.plans) == 3
-    assert begun(world) == {"near": 2}
-
-
 # ------------------------------------------------------------------ costs are exact, or the answer says within what
-
-ROADS = """(define (domain roads) (:requirements :action-costs) (:predicates (a) (b) (there))
-  (:functions (total-cost) - number (one) - number (two) - number (three) - number (dear) - number)
-  (:action one :parameters () :effect (and (a) (increase (total-cost) (one))))
-  (:action two :parameters () :precondition (a) :effect (and (there) (increase (total-cost) (two))))
-  (:action three :parameters () :effect (and (there) (increase (total-cost) (three))))
-  (:action dear :parameters () :effect (and (there) (b) (increase (total-cost) (dear)))))
-"""
-ROADS_PROBLEM = """(define (problem p) (:domain roads) (:init (= (total-cost) 0)) (:goal (there))
-  (:metric minimize (total-cost)))
-"""
-
-
-@pytest.fixture(scope="module")
-def roads():
-    return parse_domain(ROADS, ROADS_PROBLEM)
-
-
-def planned(roads, one, two, three, dear):
-    costs = {"(one)": one, "(two)": two, "(three)": three, "(dear)": dear}
-    return Planner(cached=0, moves=0).plan(Problem(roads, frozenset(), costs=costs))
-
-
-AMOUNTS = st.one_of(
-    st.integers(0, 10**6).map(lambda number: number / 10**6),
-    st.integers(0, 10**12).map(float),
-    st.floats(0.0, 1e9),
-)
 
 
 # ------------------------------------------------------------------ what is sensed and handed in
@@ -340,8 +200,6 @@ def test_what_is_no_finite_number_is_refused_by_its_name(ways, bad):
         World(ways, delay_s=bad)
     with pytest.raises(PlannerSettingError, match="at_most_every_s is"):
         ReplanningPolicy(at_most_every_s=bad)
-    with pytest.raises(PlannerSettingError, match="hysteresis"):
-        ReplanningPolicy(hysteresis=bad)
     with pytest.raises(GoalError, match=r"\(safe\) is worth (nan|inf)"):
         World(ways).executor.goals.add("(safe)", worth=bad)
     with pytest.raises(SensingError, match=r"\(near\) is"):

@@ -7,6 +7,5 @@ from rosa_pddl import Planner
 def test_the_executor_reaches_what_can_be_reached_in_worlds_that_change():
     planner = Planner()
     ended = [episode(default_rng(seed), planner) for seed in range(25)]
-    assert [(reached, could) for reached, could, _ in ended if reached != could] == []
-    assert {reached for reached, _, _ in ended} == {True, False}
-    assert any(at_once for *_, at_once in ended)
+    assert [(reached, could) for reached, could in ended if reached != could] == []
+    assert {reached for reached, _ in ended} == {True, False}

@@ -6,7 +6,7 @@ from itertools import product
 from pddl_world import World
 from py_trees.common import Status
 
-from rosa_pddl import ReplanningPolicy, parse_domain
+from rosa_pddl import parse_domain
 from rosa_pddl.validate import ended, goal_holds, missing_at_start, started
 
 DOMAIN = """(define (domain whole) (:types place sample)
@@ -75,22 +75,17 @@ def can_be_reached(domain, state, goals):
 
 
 def episode(rng, planner):
-    """Run a world to its end; return whether the goal was and could be reached, and whether steps ran at once.
+    """Run a world to its end; return whether the goal was and could be reached.
 
     Samples come and go, fuel is lost and roads are closed at random ticks; what could be reached is asked of brute
     force when the executor has ended and nothing happens any more. An end that never comes raises.
     """
     domain = random_domain(rng)
-    policy = ReplanningPolicy(
-        side_by_side=rng.random() < 0.8, while_planning=str(rng.choice(["continue", "hold"]))
-    )
-    world = World(domain, planner, policy=policy)
+    world = World(domain, planner)
     world.ticks = {schema: int(rng.integers(1, 6)) for schema in domain.schemas}
     events = sorted(int(one) for one in rng.integers(0, 60, size=int(rng.integers(0, 4))))
-    at_once = 0
     for tick in range(_MOST_TICKS):
         status = world.tick()
-        at_once = max(at_once, len(world.executor.current_steps))
         world.facts = {
             text: known for text, known in world.facts.items() if not text.startswith("(fuel")
         }
@@ -107,7 +102,7 @@ def episode(rng, planner):
     state, executor = world.executor.state, world.executor
     known = executor._domain
     goals = [goal.expression for goal in executor.goals]
-    return executor.status is Status.SUCCESS, can_be_reached(known, state, goals), at_once > 1
+    return executor.status is Status.SUCCESS, can_be_reached(known, state, goals)
 
 
 def happen(rng, world):
