@@ -152,8 +152,8 @@ def test_bytes_are_those_of_ros_2_and_of_rosbags():
 @pytest.mark.parametrize(
     ("kind", "message", "words"),
     [
-        (STRING, {"date": "x"}, "no field 'date'; it has data"),
-        (STRING, {"data": 3}, "is no std_msgs/msg/String: must be of type"),
+        (STRING, {"date": "x"}, "is no std_msgs/msg/String of data: 'date'"),
+        (STRING, {"data": 3}, "is no std_msgs/msg/String of data: must be of type"),
         (ARRAY, {"data": [1.0, "x"]}, "could not convert string to float: 'x'"),
         (ARRAY, {"data": 3.0}, "not iterable"),
         ("std_msgs/msg/Bool", {"data": 1}, "is no std_msgs/msg/Bool"),
