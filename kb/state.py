@@ -58,6 +58,9 @@ class Reason(NamedTuple):
         return f" until {f'{self.until:.3f}'.rstrip('0').rstrip('.')} s{words}"
 
 
+NO_REASON: Final = Reason()
+
+
 class Selection(NamedTuple):
     """What a choice changes.
 
@@ -186,7 +189,7 @@ class State:
 
     def reason(self, fact: str, node: Node) -> Reason:
         """Return the reason that was given with a fact, such as "failed" or "selected"."""
-        return self.reasons.get((fact, node)) or Reason()
+        return self.reasons.get((fact, node), NO_REASON)
 
     # ---------------------------------------------------------------- choosing
 
@@ -287,11 +290,6 @@ class State:
                     self.give_reason("selected", node, reason if node in self.selected else "")
                     self.give_reason("unselected", node.used_by[0])
         self.infer()
-
-    def changed(self) -> list[Node]:
-        """Return the nodes whose status changed in the event that is applied, the lowest level first."""
-        changed = [node for node, old in self.before.items() if self.status[node] is not old]
-        return sorted(changed, key=attrgetter("level", "index"))
 
     def set_measurement(self, node: Node, value: float, time: float, number: int) -> None:
         """Make a measurement the latest one, and touch the constraints whose status may differ."""
