@@ -252,7 +252,8 @@ class _Explainer:
         shown = f"{attribute.name} {reading(value, (constraint.value,), attribute)}"
         if attribute in state.stale:
             return f"{shown} {staleness(time, attribute, self._now)}"
-        verdict = state.verdict(node)
+        debounced = state.debounced.get(node)
+        verdict = None if debounced is None else debounced.status
         if verdict is Status.NOT_EVALUATED:
             return f"{shown} is not confirmed: {_votes(node.attribute)} have to agree"
         holds = OPERATORS[constraint.operator](value, constraint.value)

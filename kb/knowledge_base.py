@@ -641,8 +641,11 @@ class KnowledgeBase:
         name = self._network.components[component].name
         if configuration is not None:
             configuration = self._network.configurations[configuration].name
-        values = checked_parameters(name, parameters or {})
-        whole("the number of an attempt", number)
+        values = parameters or {}
+        if not isinstance(values, MappingProxyType):  # those of an element are checked already
+            values = checked_parameters(name, values)
+        if number != 1:
+            whole("the number of an attempt", number)
         of = self._plan_of(plan).number
         self._record("record_attempt", (of, name, operation, configuration, values, number))
         return next(reversed(self._records.attempts.values()))

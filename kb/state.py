@@ -32,6 +32,8 @@ KEPT: Final = 10_000
 """How many measurements of each attribute are kept: the newest ones."""
 
 
+_CONFIGURATION: Final = LEVELS["configuration"]
+_COMPONENT: Final = LEVELS["component"]
 _FLAGS: Final = ("stale", "failed", "active", "selected", "requested", "asserted_required")
 _VALUES: Final[Mapping[str, Callable[[Any], Any]]] = {
     "value": float,
@@ -334,8 +336,12 @@ class State:
         self._schedule("lapse", node, until)
 
     def _set_flag(self, fact: str, node: Node, is_so: bool, reason: str = "") -> None:
-        self.touch([node])
         _put(vars(self)[fact], node, is_so)
+        if fact == "selected" and node.kind == "configuration":  # its own status is the same
+            self.touch(node.used_by)
+            _put(self._obsolete, node, is_so and not self._is_of_use(node))
+        else:
+            self.touch([node])
         self.give_reason(fact, node, reason)
 
     def give_reason(
@@ -438,13 +444,17 @@ class State:
                 outdated[0].update(node.constraints)
                 continue
             outdated[node.level].add(node)
-            if node.kind in ("action", "function", "function design"):  # what they require
+            if node.kind in ("action", "function"):
                 self.touch(node.requires)
-            if node.kind in ("function design", "configuration"):
-                for user in node.used_by:
-                    outdated[user.level].add(user)
-            elif node.kind == "component":
-                outdated[LEVELS["configuration"]].update(node.requires)
+            if node.kind == "function":  # what is obsolete may differ
+                for design in node.requires:
+                    for component in design.requires:
+                        outdated[_CONFIGURATION].update(component.requires)
+            elif node.kind == "function design":
+                outdated[_COMPONENT].update(node.requires)
+                outdated[node.level + 1].update(node.used_by)
+            elif node.kind == "configuration":
+                outdated[_COMPONENT].update(node.used_by)
 
     def infer(self) -> None:
         """Infer what is outdated. A node stays outdated until all that follows is stored."""
