@@ -46,7 +46,9 @@ _LOOKS: Final = 128
 _TICKS: Final = 2**20
 """How finely the span between two looks is searched."""
 _ROUNDING: Final = 1e-9
-_WORSE, _EXPECTED, _BETTER = -1, 0, 1
+_WORSE = -1
+_EXPECTED = 0
+_BETTER = 1
 
 
 class Series(NamedTuple):
@@ -244,15 +246,15 @@ class Course:
         return Line(median(heights), slope)
 
     def _radius(self, knot: int, ahead: float) -> float | None:
-        """Return how far a forecast may be off: linear between doublings of the step."""
-        radii = self._radii
-        if knot < len(radii):
-            low = radii[max(knot - 1, 0)]
-            return low + (radii[knot] - low) * (2.0 * ahead / (self._step * 2.0**knot) - 1.0)
-        excess = ahead / (self._step * 2.0 ** (len(radii) - 1))
-        if not radii or (excess > _REACH and not self._is_by_rates):
+        """Return how far a forecast may be off, from the next span that was checked."""
+        if not self._radii:
             return None
-        return radii[-1] * (math.sqrt(excess) if self._is_steady else excess)
+        last = min(knot, len(self._radii) - 1)
+        share = ahead / (self._step * 2.0**last)
+        if share > _REACH and not self._is_by_rates:
+            return None
+        is_root = share < 1.0 or self._is_steady
+        return self._radii[last] * (math.sqrt(share) if is_root else share)
 
     def _checked_radii(self) -> Iterator[float]:
         """Yield how far a forecast may be off, for each doubling of the step that was checked."""
@@ -331,8 +333,6 @@ class Forecaster:
         """Return the names of the actions done meanwhile; by default those required now."""
         if actions is None:
             return frozenset(request.action for request in self._base.required_actions)
-        if isinstance(actions, str):
-            actions = (actions,)
         names = listed("the actions that are done", actions)
         return frozenset(self._base.actions[name].name for name in names)
 

@@ -64,27 +64,22 @@ class Building:
                 raise MissionError(
                     f"{name!r} in map {self.name} is not a name: a letter, then letters, digits or '_'"
                 )
-        for place, point in self.places.items():
-            for axis, value in zip("xy", point, strict=True):
-                checked(f"{axis} of place {place}", value, -_MOST)
-        object.__setattr__(
-            self,
-            "corridors",
-            {name: self._judged(name, one) for name, one in self.corridors.items()},
-        )
+        corridors = {name: self._completed(name, part) for name, part in self.corridors.items()}
+        object.__setattr__(self, "corridors", corridors)
         self.check("place", self.start, "start")
         self.check("place", self.goal, "goal")
         ways = [
-            (*ends, 1) for one in self.corridors.values() for ends in (one.ends, one.ends[::-1])
+            (*ends, 1)
+            for corridor in self.corridors.values()
+            for ends in (corridor.ends, corridor.ends[::-1])
         ]
         reached = distances(ways, [self.start])
-        if lost := [place for place in self.places if place not in reached]:
-            problem = (
-                f"map {self.name} is disconnected: no way from {self.start} to {', '.join(lost)}"
-            )
-            raise MissionError(f"{problem}; add a corridor")
+        lost = ", ".join(place for place in self.places if place not in reached)
+        if lost:
+            problem = f"no way from {self.start} to {lost}; add a corridor"
+            raise MissionError(f"map {self.name} is disconnected: {problem}")
 
-    def _judged(self, name: str, corridor: Corridor) -> Corridor:
+    def _completed(self, name: str, corridor: Corridor) -> Corridor:
         """Return a corridor with its name and length."""
         for end in corridor.ends:
             self.check("place", end, f"corridor {name}")
@@ -103,7 +98,8 @@ class Building:
         """The corridors at each place, in order of declaration."""
         corridors = self.corridors.values()
         return {
-            place: tuple(one for one in corridors if place in one.ends) for place in self.places
+            place: tuple(corridor for corridor in corridors if place in corridor.ends)
+            for place in self.places
         }
 
     def check(self, kind: str, name: str, who: str) -> None:
@@ -194,7 +190,8 @@ def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
     cross, and the `energy` that is left [J]. Each of the actions requires the function to navigate.
     """
     model = Model(name)
-    energy, safety = model.quality_attribute("energy", unit="J"), model.quality_attribute("safety")
+    energy = model.quality_attribute("energy", unit="J")
+    safety = model.quality_attribute("safety")
     accuracy = model.quality_attribute("accuracy", unit="m", low=0.0)
     light = model.environmental_attribute("light", low=0.0, high=1.0)
     obstacles = model.environmental_attribute("obstacles", unit="1/m", low=0.0)
@@ -210,7 +207,7 @@ def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
     navigate = model.function(NAVIGATE)
     for priority, (design_name, components, mishaps) in enumerate(_DESIGNS, start=1):
         design = navigate.design(design_name, [*components, base], priority=priority)
-        design.estimate(energy, sum(DRAW_W[one] for one in components), "negative")
+        design.estimate(energy, sum(DRAW_W[component] for component in components), "negative")
         design.estimate(safety, mishaps, "negative")
         design.estimate(accuracy, ERROR_M[components[0], components[1]], "absolute")
     imprecise = [design for design, *_ in _DESIGNS if design != "amcl_kinect"]

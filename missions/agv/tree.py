@@ -51,8 +51,10 @@ class Route:
         percepts: Percepts,
         weights: Mapping[str, float],
     ) -> None:
-        self.building, self.kb = building, kb
-        self._percepts, self._weights = percepts, weights
+        self.building = building
+        self.kb = kb
+        self._percepts = percepts
+        self._weights = weights
         self._planner = JointPlanner(building, kb)
         self._believed: tuple[object, ...] = ()
         self._answer: Answer | None = None
@@ -144,7 +146,8 @@ class Cross(RosaAction):
     def __init__(self, route: Route, corridor: str, choose: Callable[[], Leg | None]) -> None:
         super().__init__(f"cross {corridor}", route.kb, f"cross_{corridor}")
         self.corridor = corridor
-        self._route, self._choose = route, choose
+        self._route = route
+        self._choose = choose
         self._leg: Leg | None = None
 
     @property
@@ -158,7 +161,12 @@ class Cross(RosaAction):
             way = headings(self._route.building).index((leg.corridor, leg.origin)) + 1.0
             self._route.measure({**leg.conditions, "way": way})
             asked = next(
-                (one.number for one in self.kb.required_actions if one.action == self.action), None
+                (
+                    action.number
+                    for action in self.kb.required_actions
+                    if action.action == self.action
+                ),
+                None,
             )
             self._select(
                 leg, asked
@@ -175,7 +183,8 @@ class Cross(RosaAction):
         anew = self._choose()
         if anew is not None and anew.to == leg.to:
             self._leg = leg = anew
-        choice, kb = _choice(leg), self.kb
+        choice = _choice(leg)
+        kb = self.kb
         selected = [kb.designs[name].is_selected for name in choice.designs.values()]
         if not all(
             [
@@ -192,15 +201,14 @@ class Cross(RosaAction):
 
     def _select(self, leg: Leg, cause: int | None = None) -> None:
         if self.kb.pending_plan is None:  # else both would be abandoned together
-            choice, why = (
-                _choice(leg),
-                f"{leg.mode.name} is the best to cross {leg.corridor}, {leg.why}",
-            )
+            choice = _choice(leg)
+            why = f"{leg.mode.name} is the best to cross {leg.corridor}, {leg.why}"
             self.kb.select(choice.designs, choice.configurations, why, cause=cause)
 
 
 def _choice(leg: Leg) -> Choice:
-    mode, navigator = leg.mode.choice, {NAVIGATOR: heading(leg.corridor, leg.origin)}
+    mode = leg.mode.choice
+    navigator = {NAVIGATOR: heading(leg.corridor, leg.origin)}
     return Choice({**mode.designs, FOLLOW: "by_navigator"}, {**mode.configurations, **navigator})
 
 
@@ -222,7 +230,8 @@ class FollowRoute(Composite):
         super().__init__("follow route", list(self._by_corridor.values()))
 
     def tick(self) -> Iterator[Behaviour]:
-        route, is_there = self._route, self._route.is_there
+        route = self._route
+        is_there = self._route.is_there
         self._note(route.answer)
         planned = None if is_there or route.leg is None else self._by_corridor[route.leg.corridor]
         for name, child in self._by_corridor.items():
@@ -231,7 +240,8 @@ class FollowRoute(Composite):
                     yield from child.tick()
                 else:
                     self._give_up(name)
-        self.current_child, self.feedback_message = planned, "" if is_there else route.answer.reason
+        self.current_child = planned
+        self.feedback_message = "" if is_there else route.answer.reason
         if planned is not None:
             yield from planned.tick()
         if planned is not None and planned.status is Status.RUNNING:
@@ -242,7 +252,8 @@ class FollowRoute(Composite):
 
     def _note(self, answer: Answer) -> None:
         """Record a plan, unless it is the rest of the one before."""
-        before, self._planned = self._planned, answer
+        before = self._planned
+        self._planned = answer
         if answer is before or (before is not None and _is_rest(answer, before)):
             return
         first = f"; {answer.legs[0]}" if answer.legs else ""
@@ -262,7 +273,8 @@ class FollowRoute(Composite):
 
     def _give_up(self, corridor: str) -> None:
         """Stop a crossing, and say why; the reason is asked for first, because the end resets the demands."""
-        crossing, kb = self._crossings[corridor], self._route.kb
+        crossing = self._crossings[corridor]
+        kb = self._route.kb
         feasible = kb.is_feasible(crossing.action)
         why = self._route.answer.reason if feasible else kb.why(kb.actions[crossing.action])
         kb.cancel_action(crossing.action, "abandoned", why)
@@ -330,7 +342,7 @@ class PddlNames:
             self._distinct(re.sub(r"\W", "_", mode.name.lower())): mode for mode in modes
         }
         self.modes = {mode.name: word for word, mode in self.by_mode.items()}
-        ends = [(one, to) for one in corridors for to in one.ends]
+        ends = [(corridor, to) for corridor in corridors for to in corridor.ends]
         vias = [
             *(Via(one.name, one.other(to), to) for one, to in ends),
             *(Via(one.name, "", to) for one, to in ends),
@@ -375,7 +387,7 @@ class PddlNames:
             (word for word, one in self.by_mode.items() if one.setup == now.setup), self.now
         )
         facts: dict[str, bool | float] = {
-            **{f"(at {one})": one == at for one in self.places.values()},
+            **{f"(at {place})": place == at for place in self.places.values()},
             **{f"(configured {mode})": mode == configured for mode in (*self.by_mode, self.now)},
             **{f"(possible {way} {mode})": False for way in self.by_way for mode in self.by_mode},
         }
@@ -420,7 +432,8 @@ class Switch(RosaAction):
 
     def __init__(self, route: Route, mode: Mode) -> None:
         super().__init__(f"switch to {mode.name}", route.kb, SWITCH)
-        self._route, self._mode = route, mode
+        self._route = route
+        self._mode = mode
         self._plan: ReconfigurationPlan | None = None
 
     def initialise(self) -> None:
@@ -436,7 +449,8 @@ class Switch(RosaAction):
             return Status.FAILURE
         if Modes(self.kb, NAVIGATE).running.setup == self._mode.setup:
             return Status.SUCCESS
-        choice, why = self._mode.choice, f"{self._mode.name} is planned for what comes next"
+        choice = self._mode.choice
+        why = f"{self._mode.name} is planned for what comes next"
         self._plan = self.kb.select(choice.designs, choice.configurations, why)
         return Status.RUNNING
 
@@ -445,7 +459,8 @@ class PlanningState:
     """What the plan executor knows: the names and the facts of the PDDL problem."""
 
     def __init__(self, route: Route, pddl: PddlNames) -> None:
-        self.route, self.pddl = route, pddl
+        self.route = route
+        self.pddl = pddl
         self._revision: tuple[object, ...] = ()
         self._facts: Mapping[str, bool | float] = {}
 
@@ -459,7 +474,8 @@ class PlanningState:
     def cross(self, step: Step) -> Cross:
         """Return the behaviour of a step that drives a way in a mode; it fails if that is not possible from here."""
         _, way, _, _, mode = step.arguments
-        via, task = self.pddl.by_way[way], self.route.task
+        via = self.pddl.by_way[way]
+        task = self.route.task
         legs = [
             replace(leg, why="planned together with all that comes after it")
             for leg, _ in task.crossings(task.start[0])

@@ -4,7 +4,6 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from importlib.resources import files
-from itertools import combinations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -12,7 +11,6 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from missions.agv.model import Building, Corridor
-from missions.engine.mission import MissionError
 
 Array = NDArray[np.float64]
 Pose = tuple[float, float, float]  # x, y [m] and yaw [rad]
@@ -48,23 +46,6 @@ def scene_xml(building: Building, placed: list[Pose], pose: Pose, step_s: float)
     scene = (files("missions.agv") / "building.xml").read_text(encoding="utf-8")
     x, y, yaw = pose
     return scene.format(walls=walls, blocks=blocks, x=x, y=y, yaw=yaw, step_s=step_s, **sizes)
-
-
-def check_walls(building: Building) -> None:
-    """Raise MissionError if two corridors cross: each would be closed by the walls of the other."""
-    lines = [
-        (one, [complex(*building.places[end]) for end in one.ends])
-        for one in building.corridors.values()
-    ]
-    for (one, (a, b)), (two, (c, d)) in combinations(lines, 2):
-        if _side(a, b, c) * _side(a, b, d) < 0 and _side(c, d, a) * _side(c, d, b) < 0:
-            problem = f"corridors {one.name} and {two.name} cross one another: the walls of each close the other"
-            raise MissionError(f"{problem}; let them meet at a place, or move one of their places")
-
-
-def _side(a: complex, b: complex, point: complex) -> float:
-    """Return the side of the line from a to b on which a point lies: above 0 left, below 0 right."""
-    return ((b - a).conjugate() * (point - a)).imag
 
 
 def boxes(building: Building, rng: Generator) -> list[Pose]:
@@ -151,12 +132,15 @@ def steer(bearing: float, hits: Array, speed: float) -> Aim:
     ahead = hits[(hits[:, 0] > 0.0) & (np.abs(hits[:, 1]) < _ROOMS_M[0]), 0]
     room_m = float(ahead.min(initial=math.inf))
     speed *= min(max((room_m - _STOP_M) / _SLOW_M, 0.0), 1.0)
-    headings, rooms = bearing + _OFFSETS, list[float]()
-    x, y = hits[:, 0], hits[:, 1]
+    headings = bearing + _OFFSETS
+    rooms = list[float]()
+    x = hits[:, 0]
+    y = hits[:, 1]
     for heading, cos, sin in zip(
         headings.tolist(), np.cos(headings), np.sin(headings), strict=True
     ):
-        along, aside = cos * x + sin * y, np.abs(cos * y - sin * x)
+        along = cos * x + sin * y
+        aside = np.abs(cos * y - sin * x)
         rooms.append(float(aside[(along > 0.0) & (along < _CLEAR_M)].min(initial=math.inf)))
         if rooms[-1] >= _ROOMS_M[0]:  # mostly the first heading is free
             return _turned_to(heading, speed)
@@ -230,11 +214,13 @@ class Vehicle:
     def look(self, sensor: str) -> Array:
         """Cast the rays of a sensor; return what it sees or has seen lately near by, (n, 2) [m], vehicle's frame."""
         yaw, here, (offsets, reach_m) = self.yaw, self.position, _RAYS[sensor]
-        angles, count = yaw + offsets, len(offsets)
+        angles = yaw + offsets
+        count = len(offsets)
         rays = np.zeros((count, 3))
         rays[:, 0], rays[:, 1] = np.cos(angles), np.sin(angles)
         origin = np.array([*here.tolist(), 0.2])
-        hit, far = np.zeros(count, dtype=np.int32), np.zeros(count)
+        hit = np.zeros(count, dtype=np.int32)
+        far = np.zeros(count)
         past = self._groups, True, self._body
         self._mujoco.mj_multiRay(
             self._model, self._data, origin, rays.ravel(), *past, hit, far, None, count, reach_m
@@ -243,7 +229,8 @@ class Vehicle:
         self._seen.append(origin[:2] + rays[found, :2] * far[found, None])
         apart = np.concatenate(self._seen) - here
         near = apart[np.hypot(apart[:, 0], apart[:, 1]) < 2.0]
-        cos, sin = math.cos(yaw), math.sin(yaw)
+        cos = math.cos(yaw)
+        sin = math.sin(yaw)
         local: Array = near @ np.array([[cos, -sin], [sin, cos]])
         return local
 
@@ -259,5 +246,6 @@ class Vehicle:
 
     def _touches(self) -> bool:
         contacts = self._data.contact
-        pairs, group = contacts.geom[: self._data.ncon].tolist(), self._group_of
+        pairs = contacts.geom[: self._data.ncon].tolist()
+        group = self._group_of
         return any((group[one], group[other]) in _TOUCHING for one, other in pairs)

@@ -12,7 +12,7 @@ from numpy.random import Generator
 from kb import KnowledgeBase, ManagedSystem
 from missions.agv.model import DRAW_W, DRIVING_W, ERROR_M, NAVIGATOR, NEEDED_LIGHT, SPEEDS, Building
 from missions.agv.tree import Route
-from missions.agv.vehicle import Aim, Array, Vehicle, aim_along, boxes, check_walls, steer
+from missions.agv.vehicle import Aim, Array, Vehicle, aim_along, boxes, steer
 from missions.engine.components import VERBS, NamedComponents, SimulatedComponents
 from missions.engine.mission import (
     Message,
@@ -95,14 +95,16 @@ def incidents(text: str, building: Building) -> tuple[Incident, ...]:
 class BuildingWorld(World):
     """A vehicle that drives where its navigator says, as long as it can localise itself.
 
-    All chance comes from `rng`; raises MissionError if corridors cross one another.
+    All chance comes from `rng`.
     """
 
     def __init__(self, building: Building, settings: Settings, rng: Generator) -> None:
-        check_walls(building)
-        self._building, self._settings, self._rng = building, settings, rng
+        self._building = building
+        self._settings = settings
+        self._rng = rng
         start = building.places[building.start]
-        placed, pose = boxes(building, rng), (*start, rng.uniform(-math.pi, math.pi))
+        placed = boxes(building, rng)
+        pose = (*start, rng.uniform(-math.pi, math.pi))
         self._vehicle = Vehicle(building, placed, pose, settings.physics_step_s)
         self._components = _Components()
         takes = settings.switching_s, settings.switching_s, settings.parameter_s
@@ -112,12 +114,16 @@ class BuildingWorld(World):
         self._waiting = _placed(incidents(settings.incidents, building), rng)
         self._light = {corridor.name: corridor.light for corridor in building.corridors.values()}
         self._ticks = 0
-        self._at, self._inside, self._way = building.start, "", [building.start]
+        self._at = building.start
+        self._inside = ""
+        self._way = [building.start]
         self._ordered: Mapping[str, Any] = {}
         self._sensor = ""
         self._error: Array = np.zeros(2)
         self._error_m = 0.0
-        self._energy_j, self._driven_total_m, self._is_moving = settings.capacity_j, 0.0, False
+        self._energy_j = settings.capacity_j
+        self._driven_total_m = 0.0
+        self._is_moving = False
         self._news: dict[str, dict[str, str]] = {}
         self._happened: list[tuple[float, str]] = []
         self._monitor_due = 0.0
@@ -143,7 +149,8 @@ class BuildingWorld(World):
                 self._monitor()
             if self._news or switched or self.is_still is not was_still:
                 break
-        news, self._news = self._news, {}
+        news = self._news
+        self._news = {}
         said = [
             {"name": "building", "message": kind, "values": values} for kind, values in news.items()
         ]
@@ -175,11 +182,11 @@ class BuildingWorld(World):
     def scenery(self) -> Mapping[str, Any]:
         """Return the corridors, with what is special in each."""
         shown = {}
-        for one in self._building.corridors.values():
-            is_dark = self._light[one.name] < one.light or one.light < NEEDED_LIGHT
-            words = {"obstructed": one.obstacles > 0, "dark": is_dark}
-            start, end = (np.array(self._building.places[place]) for place in one.ends)
-            shown[", ".join([one.name, *(word for word, holds in words.items() if holds)])] = (
+        for corridor in self._building.corridors.values():
+            is_dark = self._light[corridor.name] < corridor.light or corridor.light < NEEDED_LIGHT
+            words = {"obstructed": corridor.obstacles > 0, "dark": is_dark}
+            start, end = (np.array(self._building.places[place]) for place in corridor.ends)
+            shown[", ".join([corridor.name, *(word for word, holds in words.items() if holds)])] = (
                 np.linspace(start, end, 9)
             )
         return shown
@@ -270,7 +277,8 @@ class BuildingWorld(World):
 
     def _happen(self, one: Incident) -> None:
         if one.component:
-            is_failed, failed = one.what == "fails", self._components.failed
+            is_failed = one.what == "fails"
+            failed = self._components.failed
             (failed.add if is_failed else failed.discard)(one.component)
             self._say("component status", one.component, "failure" if is_failed else "recovered")
             self._say("mission status", f"{one.component} failed", str(is_failed).lower())
@@ -352,7 +360,8 @@ class AgvKind(WorldKind):
     """Opens a building; the weights are those of the mission, to say why there was no plan."""
 
     def __init__(self, building: Building, weights: Mapping[str, float]) -> None:
-        self._building, self._weights = building, weights
+        self._building = building
+        self._weights = weights
 
     def settings(self) -> tuple[Setting, ...]:
         return declared(Settings)

@@ -51,19 +51,22 @@ class Robot:
     ) -> None:
         from suave_env.components import Agenda
 
-        self.mission, self.settings, self.rng, self.options = mission, world.settings, rng, options
-        self.deadline_s, self.way_m = deadline_s, world.way_m
+        self.mission = mission
+        self.settings = world.settings
+        self.rng = rng
+        self.options = options
+        self.deadline_s = deadline_s
+        self.way_m = world.way_m
         self.measured: dict[str, float] = {}
         self.reported: dict[str, str] = {}
         self.percepts = Percepts()
         self.tasks: list[RequiredAction] = []
         managed = world.managed
-        self.activate, self.deactivate, self.is_active = (
-            managed.activate,
-            managed.deactivate,
-            managed.is_active,
-        )
-        self.set_parameters, self.parameters = managed.set_parameters, managed.parameters
+        self.activate = managed.activate
+        self.deactivate = managed.deactivate
+        self.is_active = managed.is_active
+        self.set_parameters = managed.set_parameters
+        self.parameters = managed.parameters
         self._world, self.agenda = world, Agenda()
 
     @property
@@ -196,13 +199,14 @@ class BaselineRun(MissionRun):
     ) -> None:
         task = "tree of the manager" if manager.decides_tasks else "mission node"
         super().__init__(mission, world, settings, manager_name(manager), task)
-        published = [one.name for one in manager.options if one.is_published]
+        published = [option.name for option in manager.options if option.is_published]
         self.inputs = {f"input_from_paper_{name}": options[name] for name in published}
         self._changes = world.history
         phases = rng.random(2).tolist()
         self.robot = Robot(mission, world, rng, options, settings.duration_s)
         self._manager = manager(self.robot)
-        mission_s, period_s = world.settings.mission_period_s, self._manager.period_s
+        mission_s = world.settings.mission_period_s
+        period_s = self._manager.period_s
         if not 0 < period_s < inf:
             raise MissionError(
                 f"manager {self.manager}: period_s is {period_s!r}; allowed is a number of seconds above 0"
@@ -262,7 +266,8 @@ class BaselineRun(MissionRun):
 
     def _decide_task(self, time: float) -> None:
         """Begin and end tasks as SUAVE's mission node does: search until the pipeline is found, then inspect it."""
-        robot, manager = self.robot, self._manager
+        robot = self.robot
+        manager = self._manager
         if manager.decides_tasks:
             return
         task = robot.task
@@ -280,7 +285,8 @@ class BaselineRun(MissionRun):
         """Report the tasks and changes since the last report to the listeners."""
         if not self.listeners:
             return
-        tasks, changes = self.robot.tasks, self._changes
+        tasks = self.robot.tasks
+        changes = self._changes
         said = [(task.start, f"{task.action} is begun") for task in tasks[self._tasks_reported :]]
         said += [(change.time, str(change)) for change in changes[self._changes_reported :]]
         self._tasks_reported, self._changes_reported = len(tasks), len(changes)

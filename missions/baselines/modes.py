@@ -42,7 +42,8 @@ class Mode:
     parameters: Mapping[str, float] = field(default_factory=dict)
 
 
-_ON, _OFF = Mode(True), Mode(False)
+_ON = Mode(True)
+_OFF = Mode(False)
 _LOW, _MEDIUM, _HIGH = (Mode(True, {"spiral_altitude": metres}) for metres in (1.0, 2.0, 3.0))
 
 FUNCTIONS: Final[Mapping[str, tuple[str, Mapping[str, Mode]]]] = {
@@ -78,7 +79,8 @@ class SystemModes:
         before, (component, modes) = self._requested.get(function), FUNCTIONS[function]
         if mode == before:
             return
-        had, wanted = modes[before] if before else None, modes[mode]
+        had = modes[before] if before else None
+        wanted = modes[mode]
         self._requested[function] = mode
         if wanted.parameters and (had is None or had.parameters != wanted.parameters):
             self._robot.set_parameters(component, wanted.parameters)
@@ -94,7 +96,8 @@ class SystemModes:
     def is_in(self, function: str, mode: str) -> bool:
         """Tell whether a component is as a mode wants it; several modes may want the same."""
         component, modes = FUNCTIONS[function]
-        wanted, parameters = modes[mode], self._robot.parameters(component)
+        wanted = modes[mode]
+        parameters = self._robot.parameters(component)
         return wanted.active == self._robot.is_active(component) and all(
             parameters.get(key) == value for key, value in wanted.parameters.items()
         )
@@ -166,7 +169,9 @@ class _RequestMode(Behaviour):
 
     def __init__(self, modes: SystemModes, function: str, mode: str) -> None:
         super().__init__(f"{function}: {mode}")
-        self._modes, self._function, self._mode = modes, function, mode
+        self._modes = modes
+        self._function = function
+        self._mode = mode
 
     def update(self) -> Status:
         self._modes.request(self._function, self._mode)
@@ -180,13 +185,11 @@ class _DoTask(Behaviour):
         self, robot: Robot, modes: SystemModes, task: str, until: str, functions: tuple[str, ...]
     ) -> None:
         super().__init__(task)
-        self._robot, self._modes, self._task, self._until, self._functions = (
-            robot,
-            modes,
-            task,
-            until,
-            functions,
-        )
+        self._robot = robot
+        self._modes = modes
+        self._task = task
+        self._until = until
+        self._functions = functions
         self._before = 0
 
     def initialise(self) -> None:
@@ -208,7 +211,8 @@ class _DoTask(Behaviour):
 
 
 def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
-    measured, heard = robot.measured, robot.percepts.count
+    measured = robot.measured
+    heard = robot.percepts.count
 
     def request(function: str, mode: str) -> Behaviour:
         return _RequestMode(modes, function, mode)
@@ -286,7 +290,7 @@ class Design:
 
 
 DESIGNS: Final = (
-    Design("fd_all_thrusters", MOTION, 1.0, tuple(f"c_thruster_{one}" for one in range(1, 7))),
+    Design("fd_all_thrusters", MOTION, 1.0, tuple(f"c_thruster_{index}" for index in range(1, 7))),
     Design("fd_follow_pipeline", FOLLOW, 1.0),
     Design("fd_spiral_high", SEARCH, 1.0, qualities=(("water_visibility", 3.25),)),
     Design("fd_recover_thrusters", MOTION, 0.75),
@@ -340,12 +344,14 @@ class Situation:
 
 def unrealisable(situation: Situation) -> frozenset[str]:
     """Return the names of the designs that need a failed component."""
-    return frozenset(one.name for one in DESIGNS if not situation.failed.isdisjoint(one.components))
+    return frozenset(
+        design.name for design in DESIGNS if not situation.failed.isdisjoint(design.components)
+    )
 
 
 def standing(situation: Situation, function: str) -> Standing:
     grounded = situation.grounded.get(function)
-    design = next((one for one in designs_of(function) if one.name == grounded), None)
+    design = next((design for design in designs_of(function) if design.name == grounded), None)
     if design is None:
         return Standing.UNGROUNDED
     if design.name in situation.unrealisable:
@@ -361,7 +367,9 @@ def best_design(situation: Situation, function: str) -> Design | None:
     """Return the best design of a function that is possible now; None if there is none."""
     barred = situation.unrealisable | situation.errors
     possible = (
-        one for one in designs_of(function) if one.name not in barred and _suffices(one, situation)
+        design
+        for design in designs_of(function)
+        if design.name not in barred and _suffices(design, situation)
     )
     return next(possible, None)
 

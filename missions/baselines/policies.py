@@ -35,7 +35,9 @@ class Policy(ManagerBase):
     is_waiting = True  # it may choose again only because time has passed
 
     def __init__(self, model: Model, rng: "Generator", given: Mapping[str, Any]) -> None:
-        self.model, self.rng, self.given = model, rng, given
+        self.model = model
+        self.rng = rng
+        self.given = given
 
     @classmethod
     def open(
@@ -85,7 +87,10 @@ class Policy(ManagerBase):
                     kb, [kb.designs[name] for name in function.designs], function.name, designs
                 )
                 for name in design.components if isinstance(design, DesignView) else ():
-                    parts = [kb.configurations[one] for one in kb.components[name].configurations]
+                    parts = [
+                        kb.configurations[configuration]
+                        for configuration in kb.components[name].configurations
+                    ]
                     self._choose(kb, parts, name, configurations)
         if not (designs or configurations or any(kb.obsolete())):
             return None
@@ -95,8 +100,8 @@ class Policy(ManagerBase):
         self, kb: KnowledgeBase, parts: Sequence[Part], whole: str, chosen: dict[str, str]
     ) -> Part | None:
         """Enter a new choice in `chosen`; return what is selected then."""
-        selected = next((one for one in parts if one.is_selected), None)
-        possible = [one for one in parts if one.status is not Status.UNFEASIBLE]
+        selected = next((part for part in parts if part.is_selected), None)
+        possible = [part for part in parts if part.status is not Status.UNFEASIBLE]
         made = self.pick(kb, sorted(possible, key=by_priority), selected)
         if made is not None and not isinstance(made, Part):
             said = f"pick() of {type(self).__name__} gives {made!r:.100}"
@@ -157,7 +162,8 @@ class Random(Policy):
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
         turn = int(kb.now / self.given["period_s"] + self._phase)
-        self._is_due, self._turn = turn != self._turn, turn
+        self._is_due = turn != self._turn
+        self._turn = turn
         return super().plan(kb)
 
     def pick(

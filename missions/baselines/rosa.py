@@ -72,7 +72,7 @@ class OwnTree(Manager):
         if event.kind is not EventKind.ACTION_UPDATE:
             return
         record = next(
-            one for one in reversed(self.kb.history.actions) if one.action == event.subject
+            action for action in reversed(self.kb.history.actions) if action.action == event.subject
         )
         if record.end is None:
             self.robot.begin(record.action)

@@ -74,7 +74,8 @@ def golden_trace(request: pytest.FixtureRequest) -> "Callable[..., None]":
     """Compare a trace with the one in the folder `golden` beside the test; `pytest --update-traces` writes that."""
     from missions.testing.decisions import check_golden, golden_path
 
-    config, test = request.config, request.node.nodeid
+    config = request.config
+    test = request.node.nodeid
     compared: set[Path] = set()
 
     def check(trace: "Trace", name: str = "") -> None:

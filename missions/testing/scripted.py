@@ -88,7 +88,10 @@ def replace_work(
 
 
 def _read(outcomes: str | Iterable[Status]) -> tuple[Status, ...]:
-    script = tuple(LETTERS.get(one, one) if isinstance(one, str) else one for one in outcomes)
+    script = tuple(
+        LETTERS.get(outcome, outcome) if isinstance(outcome, str) else outcome
+        for outcome in outcomes
+    )
     wrong = [one for one in script if one not in LETTERS.values()]
     if wrong or not script:
         given = f"{wrong[0]!r} is none" if wrong else "none is given"
@@ -156,7 +159,8 @@ class ScriptedManaged(SimulatedComponents):
         time of its verb [s], unless the system was made with times of its own.
         """
         if not self._is_timed:
-            self.takes, self._is_timed = checked_times(usual), True
+            self.takes = checked_times(usual)
+            self._is_timed = True
         for verb, component, takes, is_well in commands:
             script = Script(takes, 0 if is_well else math.inf)
             self._recorded.setdefault((verb, component), []).append(script)

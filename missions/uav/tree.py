@@ -39,17 +39,17 @@ SAMPLES: Final = tuple(f"sample_{number}" for number in range(1, MOST_SAMPLES + 
 
 
 def analysed(percepts: Percepts) -> int:
-    return sum(percepts.holds(f"{one}_analysed") for one in SAMPLES)
+    return sum(percepts.holds(f"{sample}_analysed") for sample in SAMPLES)
 
 
 def target(percepts: Percepts) -> str:
     """Return the name of the sample to analyse next; empty if there is none."""
-    return next((one for one in SAMPLES if percepts.holds(f"{one}_target")), "")
+    return next((sample for sample in SAMPLES if percepts.holds(f"{sample}_target")), "")
 
 
 def is_all_analysed(percepts: Percepts) -> bool:
     """Tell whether at least one sample is wanted now, and all wanted ones are analysed."""
-    wanted = [one for one in SAMPLES if percepts.holds(f"{one}_wanted")]
+    wanted = [sample for sample in SAMPLES if percepts.holds(f"{sample}_wanted")]
     return bool(wanted) and all(percepts.holds(f"{one}_analysed") for one in wanted)
 
 
@@ -57,7 +57,9 @@ def facts(kb: KnowledgeBase, percepts: Percepts) -> Mapping[str, bool]:
     """Return what was sensed, as facts of the PDDL problem."""
     kinds = ("wanted", "analysed", "target")
     known = {
-        f"({what} {one})": percepts.holds(f"{one}_{what}") for what in kinds for one in SAMPLES
+        f"({what} {sample})": percepts.holds(f"{sample}_{what}")
+        for what in kinds
+        for sample in SAMPLES
     }
     is_folded = percepts.holds("gripper_folded")
     if (

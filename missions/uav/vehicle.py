@@ -114,7 +114,8 @@ def velocity_wanted(position: Vector, target: Vector, speed: float, climb: float
 
     Limits: `speed` is horizontal, `climb` vertical [m/s].
     """
-    x, y = POSITION_GAIN * (target[0] - position[0]), POSITION_GAIN * (target[1] - position[1])
+    x = POSITION_GAIN * (target[0] - position[0])
+    y = POSITION_GAIN * (target[1] - position[1])
     z = POSITION_GAIN * (target[2] - position[2])
     far = math.hypot(x, y)
     scale = speed / far if far > speed else 1.0
@@ -130,7 +131,8 @@ def wanted_force(error: Vector, trim: Vector, mass: float, gravity: float) -> Ve
         mass: of the vehicle [kg].
         gravity: [m/s2].
     """
-    x, y = VELOCITY_GAIN * error[0] + trim[0], VELOCITY_GAIN * error[1] + trim[1]
+    x = VELOCITY_GAIN * error[0] + trim[0]
+    y = VELOCITY_GAIN * error[1] + trim[1]
     z = VELOCITY_GAIN * error[2] + trim[2]
     push = math.hypot(x, y)
     scale = SIDEWAYS_M_S2 / push if push > SIDEWAYS_M_S2 else 1.0
@@ -163,7 +165,8 @@ def attitude(quaternion: Sequence[float], rates: Vector, force: Vector) -> tuple
         2 * (i * j - w * k) * east + (1 - 2 * (i * i + k * k)) * north + 2 * (j * k + w * i) * up
     ) / size
     # the turn from the mast (0, 0, 1) to the wanted direction, body frame; its sine, or 1 beyond a right angle
-    turn_x, turn_y = -left, forward
+    turn_x = -left
+    turn_y = forward
     if thrust <= 0.0:
         sine = math.hypot(left, forward)
         turn_x, turn_y = (-left / sine, forward / sine) if sine > 0 else (1.0, 0.0)
@@ -179,7 +182,9 @@ def mixed(thrust: float, torques: Vector, limit: float) -> list[float]:
 
     If a rotor cannot give its thrust, lift is reduced before tilt: a vehicle that stays upright can fly on.
     """
-    x, y, z = torques[0] / _ARMS_M, torques[1] / _ARMS_M, torques[2] / _REACTIONS_M
+    x = torques[0] / _ARMS_M
+    y = torques[1] / _ARMS_M
+    z = torques[2] / _REACTIONS_M
     z = _within(z, 0.1 * limit)  # heading matters least
     turning = (x - y + z, x + y - z, -x + y + z, -x - y - z)
     even = max(-min(turning), min(limit - max(turning), thrust / 4))
@@ -228,14 +233,14 @@ class Quadrotor:
         mujoco.set_mju_user_warning(
             _log.debug
         )  # its own handler prints, and writes a file into the working directory
-        self._settings, self._step_s, self._advance = (
-            settings,
-            SUBSTEPS * settings.physics_step_s,
-            mujoco.mj_step,
-        )
+        self._settings = settings
+        self._step_s = SUBSTEPS * settings.physics_step_s
+        self._advance = mujoco.mj_step
         self.model: Any = _compiled(mujoco, settings)
         self.data: Any = mujoco.MjData(self.model)
-        self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
+        self._qpos = self.data.qpos
+        self._qvel = self.data.qvel
+        self._ctrl = self.data.ctrl
         self._mass = float(self.model.body_subtreemass[0])
         self.data.qfrc_applied[:2] = settings.drag * wind[0], settings.drag * wind[1]
         area = math.pi * settings.rotor_radius_m**2
@@ -243,28 +248,33 @@ class Quadrotor:
         self._target: Vector | None = None
         self._lands = False
         self._trim = (0.0, 0.0, 0.0)
-        self._arm, self._arm_wanted = 0.0, 0.0
+        self._arm = 0.0
+        self._arm_wanted = 0.0
         self.position: Vector = (0.0, 0.0, ON_GROUND_M)
         self.velocity: Vector = (0.0, 0.0, 0.0)
-        self._turned, self._rates = self._qpos[3:7].tolist(), self.velocity
+        self._turned = self._qpos[3:7].tolist()
+        self._rates = self.velocity
         self.is_landed = True
         self.rotor_w = 0.0
         self.has_power = True
 
     def go_to(self, target: Vector) -> None:
         """Fly to a place [m], world frame; at travelling height unless the place is near."""
-        self._target, self._lands = target, False
+        self._target = target
+        self._lands = False
 
     def hold(self) -> None:
         """Hover at the present position; on the ground, stay there."""
-        self._target, self._lands = (None if self.is_landed else self.position), False
+        self._target = None if self.is_landed else self.position
+        self._lands = False
 
     def land(self, at: tuple[float, float] | None = None) -> None:
         """Land at (x, y) [m], world frame, or right below; rotors stop on the ground."""
         if self.is_landed and at is None:
             return
         x, y = at or self.position[:2]
-        self._target, self._lands = (x, y, 0.0), True
+        self._target = (x, y, 0.0)
+        self._lands = True
 
     def fold(self, is_folded: bool) -> None:
         self._arm_wanted = 0.0 if is_folded else math.pi / 2
@@ -301,7 +311,8 @@ class Quadrotor:
         if self._arm != self._arm_wanted:
             turn = math.pi / 2 / self._settings.fold_s * self._step_s
             self._arm += max(-turn, min(turn, self._arm_wanted - self._arm))
-        self._ctrl[:4], self._ctrl[4] = thrusts, self._arm
+        self._ctrl[:4] = thrusts
+        self._ctrl[4] = self._arm
         self._advance(self.model, self.data, SUBSTEPS)
         a, b, c, d = thrusts
         self.rotor_w = self._watts * (
@@ -309,19 +320,18 @@ class Quadrotor:
         )
         x, y, z, a, b, c, d, *_ = self._qpos.tolist()
         u, v, w, roll, pitch, yaw, *_ = self._qvel.tolist()
-        self.position, self.velocity, self._turned, self._rates = (
-            (x, y, z),
-            (u, v, w),
-            (a, b, c, d),
-            (roll, pitch, yaw),
-        )
+        self.position = (x, y, z)
+        self.velocity = (u, v, w)
+        self._turned = (a, b, c, d)
+        self._rates = (roll, pitch, yaw)
         self.is_landed = z - ON_GROUND_M < TOUCH_M and self._touches_down(thrusts)
 
     def _touches_down(self, thrusts: list[float]) -> bool:
         here = self.position[:2]
         is_above = math.dist(here, (self._target or here)[:2]) < STRAIGHT_M
         if self._lands and is_above and math.hypot(*self.velocity) < TOUCH_M_S:
-            self._target, self._lands = None, False
+            self._target = None
+            self._lands = False
             self._trim = (0.0, 0.0, 0.0)
         return self._target is None and not any(thrusts)
 

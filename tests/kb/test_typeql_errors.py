@@ -274,7 +274,6 @@ def test_spoilt_file_is_a_model_or_a_model_error(tmp_path_factory, data):
         (f"{DESIGN};", "6:44: this function-design has no name; it is called 'move design 1'"),
         ("(component: $c) isa component-configuration;", "it is called 'motor configuration 1'"),
         ("(action: $a) isa required-action, has result 'dunno';", "'dunno' is not a result"),
-        ("(component: $c) isa component-process;", "has no pid"),
         ("$c has node-name 'x';", "node-name is ignored: component-name is .*:4:"),
     ],
     ids=repr,
