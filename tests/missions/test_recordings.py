@@ -277,7 +277,7 @@ def test_replay_says_from_when_it_decides_otherwise(drop, tmp_path, monkeypatch)
     models = "recorded with the model suave_extended, decided with suave_extended"
     assert first.startswith(f"{models}, which is another one")
     assert "0.4" in second
-    assert second.endswith("is not in the recording")
+    assert second.endswith("is not in the store")
 
 
 def test_recording_of_an_own_mission_says_how_to_name_it(tmp_path):
