@@ -131,7 +131,9 @@ class Model:
 
     def __init__(self, name: str) -> None:
         self.name = identifier("model", name)
-        self._tables: dict[type, ByName[Any]] = {cls: ByName(kind) for cls, kind in KINDS.items()}
+        self._tables: dict[type, ByName[Any]] = {}
+        for cls, kind in KINDS.items():
+            self._tables[cls] = ByName(kind, siblings=self._tables)
         self._facts: list[Fact] = []
         self._observers: list[ref[Observer]] = []
         self._changing = RLock()
