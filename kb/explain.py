@@ -13,7 +13,7 @@ from kb.elements import Action, Attribute, exact
 from kb.network import Node
 from kb.planning import choice_by_priority, ranked
 from kb.remedies import Remedy, remedies
-from kb.state import State
+from kb.state import NO_REASON, State
 from kb.status import IMPOSSIBLE, OPERATORS, Status
 
 _MOST: Final = 4
@@ -178,7 +178,7 @@ class _Explainer:
         else:
             fact, groups = self._causes(node, status)
             reason = state.reason("failed", node).text if status is Status.FAILURE else ""
-        choice = state.reason("selected", node).text if node in state.selected else ""
+        choice = state.reasons.get(("selected", node), NO_REASON).text
         reasons = tuple(tuple(map(self.status, group)) for group in groups if group)
         return Explanation(node.kind, node.name, status, fact, reasons, reason, choice)
 
@@ -235,7 +235,7 @@ class _Explainer:
         attribute = node.requires[0]
         constraint = node.constraint
         time = state.time.get(attribute)
-        forecast = state.reason("forecast", attribute).text
+        forecast = state.reasons.get(("forecast", attribute), NO_REASON).text
         if time is None and forecast:
             is_violated = status is Status.VIOLATED
             return f"{forecast}; that makes {node.name} violated" if is_violated else forecast
@@ -246,7 +246,8 @@ class _Explainer:
         shown = f"{attribute.name} {reading(value, (constraint.value,), attribute)}"
         if attribute in state.stale:
             return f"{shown} {staleness(time, attribute, self._now)}"
-        verdict = state.verdict(node)
+        debounced = state.debounced.get(node)
+        verdict = None if debounced is None else debounced.status
         if verdict is Status.NOT_EVALUATED:
             return f"{shown} is not confirmed: {_votes(node.attribute)} have to agree"
         holds = OPERATORS[constraint.operator](value, constraint.value)
