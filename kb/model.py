@@ -131,7 +131,9 @@ class Model:
 
     def __init__(self, name: str) -> None:
         self.name = identifier("model", name)
-        self._tables: dict[type, ByName[Any]] = {cls: ByName(kind) for cls, kind in KINDS.items()}
+        self._tables: dict[type, ByName[Any]] = {}
+        for cls, kind in KINDS.items():
+            self._tables[cls] = ByName(kind, siblings=self._tables)
         self._facts: list[Fact] = []
         self._observers: list[ref[Observer]] = []
         self._changing = RLock()
@@ -352,13 +354,10 @@ class Model:
             raise ModelError(
                 "no file is given to load a model from; give one path or several, in order"
             )
-        in_owl = [file for file in files if _suffix(file) == ".owl"]
-        if in_owl and len(in_owl) < len(files):
-            others = ", ".join(str(file) for file in files if file not in in_owl)
-            raise ModelFileError(
-                f"files of one model are all in one format; {others} is in another", str(in_owl[0])
-            )
-        if in_owl:
+        suffixes = {_suffix(file) for file in files}
+        if len(suffixes) > 1:
+            raise ModelFileError("files of one model are all in one format", str(files[0]))
+        if suffixes == {".owl"}:
             from kb.ontology import load_owl
 
             return load_owl(cls, files, name)

@@ -8,9 +8,8 @@ from py_trees.composites import Parallel, Selector, Sequence
 from py_trees.decorators import Decorator
 
 from kb import KnowledgeBase
-from missions.proof.causes import Senses
 from missions.proof.rig import Rig, acting
-from missions.proof.setup import Setup
+from missions.proof.setup import Senses, Setup
 from rosa_bt import HasStatus, IsActionFeasible, RosaAction, do_until_unfeasible
 
 Mend = Callable[[Behaviour], Behaviour]

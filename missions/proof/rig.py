@@ -21,7 +21,6 @@ from kb import ConfigurationManager, KnowledgeBase, UnknownName
 from kb.elements import AttributeKind
 from missions.engine.components import VERBS
 from missions.engine.mission import Condition
-from missions.proof.causes import Senses
 from missions.proof.environment import (
     STALE,
     Change,
@@ -30,7 +29,7 @@ from missions.proof.environment import (
     measure,
     without_debouncing,
 )
-from missions.proof.setup import Leaf, Setup
+from missions.proof.setup import Leaf, Senses, Setup
 from missions.testing.scripted import LETTERS, replace_work
 from rosa_bt import ForAction, RosaAction, TreeRunner
 from rosa_bt.behaviours import KbBehaviour

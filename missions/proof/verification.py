@@ -13,12 +13,11 @@ from kb import Event, KnowledgeBase, Model
 from missions.engine.mission import Mission, MissionError
 from missions.engine.task_layer import build_task
 from missions.proof.advice import mends
-from missions.proof.causes import Senses, causes_of
 from missions.proof.environment import Change
 from missions.proof.exploration import Exploration
 from missions.proof.properties import Finding, check, notes
 from missions.proof.rig import Rig, Step
-from missions.proof.setup import Setup
+from missions.proof.setup import Senses, Setup, causes_of
 
 
 @dataclass(frozen=True)

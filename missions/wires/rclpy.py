@@ -54,13 +54,13 @@ class Messages(Library):
         """Return the class of a message, service or action, or of a part, e.g. TYPE_Request."""
         try:
             package, folder, name = kind.split("/")
-            found = import_module(f"{package}.{folder}")
+            named = import_module(f"{package}.{folder}")
             for part in name.split("_"):
-                found = getattr(found, part)
+                named = getattr(named, part)
         except (ImportError, AttributeError, ValueError) as error:
             advice = "source the workspace that has it"
             raise RosError(f"the type {kind!r} is not installed ({error}); {advice}") from None
-        return found
+        return named
 
 
 def _field(text: str) -> Field:

@@ -281,7 +281,8 @@ def test_termination_leaves_no_draft_behind(tmp_path):
         "missions",
         "run",
         "suave",
-        "--realtime",
+        "--speed",
+        "1",
         "--json",
         str(tmp_path / "x.json"),
     ]
@@ -361,7 +362,7 @@ def test_help_names_every_option():
         .output
     )
     for option in (
-        *("--task", "--seed", "--json", "--plot", "--timing", "--record", "--set", "--realtime"),
+        *("--task", "--seed", "--json", "--plot", "--timing", "--record", "--set", "--speed"),
         *("--speed", "--no-progress"),
     ):
         assert option in shown
