@@ -65,8 +65,6 @@ from kb.facts import (
     Amended,
     Contents,
     Fact,
-    MeasurementFact,
-    PlanFact,
     RequiredFact,
     SelectedFact,
     StatusFact,
@@ -77,6 +75,10 @@ from kb.records import check_result
 ElementT = TypeVar("ElementT", bound=Element)
 
 _NAMED: Final = (Action, Function, Component, FunctionDesign, Configuration, Attribute)
+
+
+_MANY: Final = ("functions", "components", "activate", "deactivate", "parameters")
+"""The fields that name several elements."""
 
 
 class Measured(TypedDict, total=False):
@@ -311,9 +313,7 @@ class Model:
 
         Knowledge bases that exist already do not get it.
         """
-        if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
-            self._own("what a fact is about", fact.element, *_NAMED, Constraint, Estimation)
-        self._facts.append(_checked_fact(self, fact))
+        self._facts.append(self._checked(fact))
 
     def state(self, cls: type, values: Mapping[str, Any]) -> Changeable | None:
         """Declare an element, constraint, estimation or fact of a class by its fields."""
@@ -520,10 +520,44 @@ class Model:
         if field not in REFERENCES:
             raise UnknownName(f"field of {KINDS[cls]}", field, CHECKS[cls])
         target = REFERENCES[field]
-        if field not in ("functions", "components"):
+        if field not in _MANY:
             return self._own(KINDS[target], value, target).name
         items = listed(f"the {field} of {name!r}", value)
         return tuple(dict.fromkeys(self._own(KINDS[target], item, target).name for item in items))
+
+    def _checked(self, fact: object) -> Fact:
+        """Return a fact, after checking that its elements and values are allowed."""
+        if not isinstance(fact, Fact):
+            raise ModelError(f"a fact is one of those in kb.facts, not {fact!r}")
+        kind = facts.ROSA[type(fact)]
+        values: dict[str, Any] = {}
+        for field in fields(fact):
+            name = field.name
+            value = getattr(fact, name)
+            if name == "element":
+                value = self._own(f"what this {kind} is about", value, *_ABOUT[type(fact)])
+            elif name == "status":
+                value = status_of(KINDS[type(values["element"])], value)
+            elif name in REFERENCES:
+                value = self._referred(type(fact), kind, name, value)
+            elif name == "latest":
+                value = flag(f"latest of a {kind}", value)
+            elif name == "pid":
+                value = whole("a process number", value, 0)
+            elif name == "value":
+                value = self.attributes[values["attribute"]].checked(value)
+            elif name == "result" and value is not None:
+                check_result(value)
+            elif name == "preference" and value is not None:
+                if not isinstance(value, Mapping):
+                    what = "a preference is given as weights by name of attribute"
+                    raise ModelError(f"{what}, not as {value!r}")
+                weights = {self.attributes[key].name: finite_number(value[key]) for key in value}
+                value = MappingProxyType(weights) if weights else None
+            elif value is not None:
+                value = finite_number(value)
+            values[name] = value
+        return replace(fact, **values)
 
     def _own(self, what: str, given: object, *classes: type) -> Any:  # noqa: ANN401  # of the classes
         """Return an element of this model, given by itself or by a name that only one has."""
@@ -654,69 +688,25 @@ def _described(element: Changeable) -> str:
     return f"an estimation of {element.attribute!r}"
 
 
-_ABOUT: Final = {
-    StatusFact: (tuple(KINDS), "a status"),
-    RequiredFact: ((Action, Function, Component), "required"),
-    SelectedFact: ((FunctionDesign, Configuration), "selected"),
+_ABOUT: Final[Mapping[type, tuple[type, ...]]] = {
+    StatusFact: (*_NAMED, Constraint),
+    RequiredFact: (Action, Function, Component),
+    SelectedFact: (FunctionDesign, Configuration),
 }
 """What each fact about an element can be about."""
 
 
-def _checked_fact(model: Contents, fact: object) -> Fact:
-    """Return a fact, after checking that its elements and values are allowed."""
-    if not isinstance(fact, Fact):
-        raise ModelError(f"a fact is one of those in kb.facts, not {fact!r}")
-    if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
-        classes, what = _ABOUT[type(fact)]
-        if not isinstance(fact.element, classes):
-            kind = KINDS[type(fact.element)]
-            raise ModelError(f"{kind} cannot be stated to be {what}: {fact.element!r}")
-        if isinstance(fact, StatusFact):
-            return replace(fact, status=status_of(KINDS[type(fact.element)], fact.status))
-        return fact
-    for cls, name in _named_by(fact):
-        if not isinstance(name, str) or name not in model.tables[cls]:
-            raise UnknownName(KINDS[cls], name, model.tables[cls])
-    checked: dict[str, Any] = {}
-    for field in fields(fact):
-        value = getattr(fact, field.name)
-        if field.name in ("time", "start", "end") and value is not None:
-            checked[field.name] = finite_number(value)
-        elif field.name == "result" and value is not None:
-            check_result(value)
-        elif field.name == "pid":
-            checked["pid"] = whole("a process number", value, 0)
-        elif field.name == "latest":
-            flag("latest of a measurement", value)
-        elif field.name == "preference" and value is not None:
-            weights = {name: finite_number(weight) for name, weight in value.items()}
-            checked["preference"] = MappingProxyType(weights) if weights else None
-        elif isinstance(value, tuple | list):
-            checked[field.name] = tuple(dict.fromkeys(value))
-        elif field.name == "value" and isinstance(fact, MeasurementFact):
-            checked["value"] = model.attributes[fact.attribute].checked(value)
-    return replace(fact, **checked)
-
-
-def _named_by(fact: Fact) -> Iterator[tuple[type[Element], str]]:
-    """Yield the class and name of each element that a fact refers to by name."""
-    for field in fields(fact):
-        value = getattr(fact, field.name)
-        if field.name == "preference" and value is not None:
-            if not isinstance(value, Mapping):
-                what = "a preference is given as weights by name of attribute"
-                raise ModelError(f"{what}, not as {value!r}")
-            yield from ((Attribute, name) for name in value)
-        elif field.name in REFERENCES:
-            names = listed(field.name, value) if isinstance(fact, PlanFact) else (value,)
-            yield from ((REFERENCES[field.name], name) for name in names)
-
-
 def _concerns(fact: Fact, removed: Collection[Changeable]) -> bool:
-    if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
-        return fact.element in removed
-    gone = {(type(element), called(element)) for element in removed}
-    return any(named in gone for named in _named_by(fact))
+    """Return whether a fact is about an element that is removed."""
+    for field in fields(fact):
+        value = getattr(fact, field.name)
+        names = value if isinstance(value, tuple | Mapping) else (value,)
+        is_preference = field.name == "preference"
+        cls: Any = Attribute if is_preference else REFERENCES.get(field.name, ())
+        for element in removed:
+            if element is value or (isinstance(element, cls) and element.name in names):
+                return True
+    return False
 
 
 # ---------------------------------------------------------------- plain values
