@@ -380,9 +380,8 @@ class Model:
 
         `from_plain` reads it back.
         """
-        positions = Serials.of(self)
-        elements = (each for table in self.tables.values() for each in table.values())
-        rows = [_row(each, positions) for each in (*elements, *self.facts)]
+        elements = (element for table in self.tables.values() for element in table.values())
+        rows = [_row(self, described) for described in (*elements, *self.facts)]
         return [["model", {"name": self.name}], *rows]
 
     @classmethod
@@ -436,7 +435,12 @@ class Model:
                 allowed = ", ".join(checks) or "nothing"
                 raise ModelError(f"{field!r} of {kind} {name!r} cannot change; what can: {allowed}")
         values = {field: checks[field](field, name, value) for field, value in fields.items()}
-        self._amend("changed", [changed], partial(_set, changed, values))
+        self._amend(
+            "changed",
+            [changed],
+            partial(_set, changed, values),
+            lambda: [_reference(self, changed), _plain(self, values)],
+        )
 
     def remove(self, element: Changeable | str) -> None:
         """Remove an element with its constraints and the estimations that it causes.
@@ -471,7 +475,19 @@ class Model:
                 self._tables[type(one)].pop(_key(one), None)
             self._facts = facts
 
-        self._amend("removed", removed, put)
+        self._amend("removed", removed, put, lambda: _reference(self, unwanted))
+
+    def amend(self, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
+        """Change the model as an equal one was changed before; see `Amended`."""
+        if how == "removed":
+            self.remove(_referred(self, written))
+        elif how == "changed":
+            reference, values = written
+            self.change(_referred(self, reference), **values)
+        else:
+            with self.at_once():
+                for row in written:
+                    _declare(self, *row)
 
     def settle(self) -> None:
         """Complete a change that was interrupted, unless another thread is just making it."""
@@ -610,7 +626,12 @@ class Model:
 
     def _declare(self, *added: Changeable) -> None:
         if self._batch is None and (self._observers or len(added) > 1):
-            self._amend("declared", added, partial(self._enter, added))
+            self._amend(
+                "declared",
+                added,
+                partial(self._enter, added),
+                lambda: [_row(self, element) for element in added],
+            )
             return
         if self._batch is not None:
             self._batch.extend(added)
@@ -620,14 +641,21 @@ class Model:
         for one in added:
             self._tables[type(one)][_key(one)] = one
 
-    def _amend(self, how: str, elements: Sequence[Changeable], put: Callable[[], None]) -> None:
+    def _amend(
+        self,
+        how: str,
+        elements: Sequence[Changeable],
+        put: Callable[[], None],
+        write: Callable[[], Any],
+    ) -> None:
         """Make a change; once it is `pending`, it will be completed, for all observers too."""
         self.settle()
         observers = self._watching()
         for observer in observers:
             observer.prepare()
         with self._changing:
-            self.pending = Amended(how, tuple(elements), put)
+            written = write() if observers else None
+            self.pending = Amended(how, tuple(elements), put, written)
             self.settle()
         for observer in observers:
             observer.heard()
@@ -714,48 +742,39 @@ def _concerns(fact: Fact, removed: Collection[Changeable]) -> bool:
 _CLASSES: Final = {words: cls for cls, words in facts.ROSA.items()}
 
 
-class Serials(dict[Changeable, int]):
-    """Numbers of the elements without a name; one stays the same when others are removed."""
-
-    @classmethod
-    def of(cls, model: Contents) -> Self:
-        """Number the constraints of a model, and its estimations, from 0."""
-        tables: tuple[tuple[Changeable, ...], ...] = (model.constraints, model.estimations)
-        return cls((each, number) for table in tables for number, each in enumerate(table))
-
-    def __missing__(self, element: Changeable) -> int:
-        alike = [number for each, number in self.items() if type(each) is type(element)]
-        self[element] = number = max(alike, default=-1) + 1
-        return number
+def _reference(model: Contents, element: Changeable) -> list[Any]:
+    """Return the class of an element, and its name or its position among those without."""
+    if isinstance(element, Element):
+        return [facts.ROSA[type(element)], element.name]
+    return [facts.ROSA[type(element)], list(model.tables[type(element)]).index(element)]
 
 
-def _reference(element: Changeable, serials: Serials) -> list[Any]:
-    name = element.name if isinstance(element, Element) else serials[element]
-    return [facts.ROSA[type(element)], name]
+def _plain(model: Contents, value: Any) -> Any:  # noqa: ANN401  # of any field
+    """Return the value of a field as JSON can hold it."""
+    if isinstance(value, Changeable):
+        return _reference(model, value)
+    if isinstance(value, tuple | list):
+        return [_plain(model, item) for item in value]
+    if isinstance(value, Mapping):
+        return {key: _plain(model, item) for key, item in value.items()}
+    return value
 
 
-def _row(described: Any, serials: Serials) -> list[Any]:  # noqa: ANN401  # an element or a fact
+def _row(model: Contents, described: Any) -> list[Any]:  # noqa: ANN401  # an element or a fact
     """Return what something is and its fields that have not their defaults, as plain values."""
-
-    def plain(value: Any) -> Any:  # noqa: ANN401  # of any field
-        if isinstance(value, Changeable):
-            return _reference(value, serials)
-        if isinstance(value, tuple | list):
-            return [plain(each) for each in value]
-        return dict(value) if isinstance(value, Mapping) else value
-
     values = {}
     for field in fields(described):
         value = getattr(described, field.name)
         if field.name != "model" and value != field.default:
-            values[field.name] = plain(value)
+            values[field.name] = _plain(model, value)
     return [facts.ROSA[type(described)], values]
 
 
 def _referred(model: Model, reference: Sequence[Any]) -> Any:  # noqa: ANN401  # an element
-    """Return the element of a reference whose constraints are numbered by their places."""
+    """Return the element of a reference."""
     words, name = reference
-    return model.constraints[name] if words == "constraint" else model.tables[_CLASSES[words]][name]
+    table = model.tables[_CLASSES[words]]
+    return list(table.values())[name] if isinstance(name, int) else table[name]
 
 
 def _declare(model: Model, words: str, plain: Mapping[str, Any]) -> Changeable | None:
@@ -766,63 +785,6 @@ def _declare(model: Model, words: str, plain: Mapping[str, Any]) -> Changeable |
     for name in {"causer", "element"} & values.keys():
         values[name] = _referred(model, values[name])
     return model.state(_CLASSES[words], values)
-
-
-Amendment = Sequence[Any]
-"""How elements were amended, and which: rows of what was declared or changed, or a reference."""
-
-
-def amendment(how: str, changed: Sequence[Changeable], serials: Serials) -> Amendment:
-    if how == "removed":
-        return how, _reference(changed[0], serials)
-    return how, [[_reference(each, serials), *_row(each, serials)] for each in changed]
-
-
-def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # noqa: ANN401  # as amendment writes it
-    """Change a model as it was changed before; see `Amendment`."""
-    unnamed = {(facts.ROSA[type(each)], number): each for each, number in serials.items()}
-
-    def element_of(words: str, name: Any) -> Any:  # noqa: ANN401  # a name or a number
-        cls = _CLASSES[words]
-        return unnamed[words, name] if cls in (Constraint, Estimation) else model.tables[cls][name]
-
-    if how == "removed":
-        model.remove(element_of(*written))
-    elif how == "declared":
-        with model.at_once():
-            declared = [(reference, _declare(model, *row)) for reference, *row in written]
-        for (_, name), element in declared:
-            if isinstance(element, Constraint | Estimation):
-                serials[element] = name
-    else:
-        for reference, _, values in written:
-            element = element_of(*reference)
-            new = {
-                field.name: values.get(field.name, field.default)
-                for field in fields(element)
-                if (check := CHECKS[type(element)].get(field.name)) and check.can_change
-            }
-            model.change(element, **new)
-
-
-def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[Model, Serials]:
-    """Return the model of a declaration and later amendments, and its serials."""
-    then = Model.from_plain(declared)
-    numbers = Serials.of(then)
-    for one in amendments:
-        amend(then, numbers, *one)
-    return then, numbers
-
-
-def amended_alike(then: Model, numbers: Serials, model: Model) -> Serials | None:
-    """Return the numbers of a model's elements for those of an equal model.
-
-    None if the models differ.
-    """
-    if then != model:
-        return None
-    pairs = zip(Serials.of(then), Serials.of(model), strict=True)
-    return Serials((now, numbers[before]) for before, now in pairs)
 
 
 def differences(then: Model, now: Model) -> list[str]:
