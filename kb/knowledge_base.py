@@ -42,7 +42,7 @@ from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
 from kb.explain import reading as reading_in_words
 from kb.explain import staleness, why, why_selected
 from kb.forecast import Forecaster, feasible_until
-from kb.model import Model, Serials, amend, amendment
+from kb.model import Model
 from kb.network import Network, Node
 from kb.ontology import Answer, Ontology
 from kb.records import (
@@ -209,7 +209,6 @@ class KnowledgeBase:
         _LOCKS.add(self._lock)
         self._updating = Lock()  # held, with the other one, while this thread records an event
         self.store = None if store is None else Store(store, model, keep)
-        self._serials = Serials.of(model) if self.store is None else self.store.serials
         self._network = network = Network(model)
         self._state = State(network, keep)
         self._records = Records()
@@ -718,7 +717,7 @@ class KnowledgeBase:
             raise InvalidValue(f"{verb} cannot be replayed with {arguments!r}: {error}") from None
 
     def _amend(self, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
-        amend(self.model, self._serials, how, written)
+        self.model.amend(how, written)
 
     _REPLAYABLE["amend"] = _amend
 
@@ -964,9 +963,8 @@ class KnowledgeBase:
             element.name if isinstance(element, Element) else str(element)
             for element in named or change.elements
         ]
-        written = tuple(amendment(change.how, change.elements, self._serials))
         words = f"{', '.join(names)} {change.how} in the model"
-        self._record("amend", written, words=words)
+        self._record("amend", (change.how, change.written), words=words)
 
     def _renew(self) -> None:
         """Follow the model as it is now; it can be repeated."""
