@@ -287,7 +287,7 @@ class Records:
     def apply(self, event: "Event") -> None:
         """Enter what an event says."""
         now = event.time
-        if event.plan is not None and event.plan.number not in self.plans:
+        if event.plan is not None:
             self.end_reasons = {}
             self._add(event.plan)
         match event.verb, event.arguments:
