@@ -10,9 +10,8 @@ from itertools import islice
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
-from kb.elements import Parameters, table
+from kb.elements import Parameters, PlanFact, ProcessFact, RequiredActionFact, table
 from kb.exceptions import InvalidValue
-from kb.facts import PlanFact, ProcessFact, RequiredActionFact
 
 if TYPE_CHECKING:
     from kb.events import Event  # an event has a plan
@@ -288,7 +287,7 @@ class Records:
     def apply(self, event: "Event") -> None:
         """Enter what an event says."""
         now = event.time
-        if event.plan is not None and event.plan.number not in self.plans:
+        if event.plan is not None:
             self.end_reasons = {}
             self._add(event.plan)
         match event.verb, event.arguments:
@@ -379,18 +378,6 @@ class Records:
         if fact.preference and list(fact.preference.values()) == [1.0]:
             (values["preference"],) = fact.preference
         self._add(RequiredAction(**values))
-
-    def plan_of(self, plan: object) -> ReconfigurationPlan:
-        """Return a plan of these records, given by itself or by its number."""
-        number = plan.number if isinstance(plan, ReconfigurationPlan) else plan
-        own = self.plans.get(number) if type(number) is int else None
-        if own is not None and plan in (own, number):
-            return own
-        numbers = f"{min(self.plans)} to {max(self.plans)}" if self.plans else "none yet"
-        raise InvalidValue(
-            f"{plan!r} is not a plan of this knowledge base; give one of kb.plans "
-            f"(numbers: {numbers})"
-        )
 
     def to_json(self) -> dict[str, Any]:
         """Return all records as values of which JSON is made."""

@@ -265,5 +265,3 @@ def test_a_base_and_a_situation_say_in_short_what_they_are():
 
 def test_the_time_is_that_of_the_clock(lives):
     assert lives.kb.now == lives.kb.situation().now == 300.0
-
-

@@ -167,5 +167,3 @@ def test_a_plan_ends_once(kb, clock):
     clock.now += 5
     assert kb.finish_plan(plan, "failed") is False
     assert (plan.result, plan.end) == ("completed", clock.now - 5)
-
-

@@ -208,7 +208,7 @@ def test_key_given_twice_is_a_duplicate_name(tmp_path, text):
 )
 def test_file_of_brackets_is_an_error(tmp_path, opening):
     with pytest.raises(ModelFileError):
-        load(tmp_path, opening + opening[-1] * 1_000_000)
+        load(tmp_path, opening + opening[-1] * 10_000)
 
 
 def test_failed_load_leaves_nothing_behind_for_the_next(tmp_path):
