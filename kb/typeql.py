@@ -20,14 +20,13 @@ from typing import Any, Final, NamedTuple, TypeVar
 
 from lark import Lark, Token, Transformer, UnexpectedCharacters, UnexpectedToken, v_args
 
-from kb import elements, facts
-from kb.elements import Configuration, Constraint, Element, finite_number
+from kb import elements
+from kb.elements import Configuration, Constraint, Element, Fact, finite_number
 from kb.exceptions import UnknownName
-from kb.facts import Fact
 from kb.files import DuplicateInFile, ModelFileError, Place, read_text
 from kb.status import STATUSES, Status
 
-ModelT = TypeVar("ModelT", bound=facts.Contents)
+ModelT = TypeVar("ModelT", bound=elements.Owner)
 Literal = bool | int | float | str | datetime
 
 WORDS: Final[Mapping[str, Any]] = tomllib.loads(
@@ -418,7 +417,7 @@ class Things:
 
 # ---------------------------------------------------------------- a model
 
-_CLASSES: Final = {cls: words.replace(" ", "-") for cls, words in list(facts.ROSA.items())[:8]}
+_CLASSES: Final = {cls: words.replace(" ", "-") for cls, words in list(elements.ROSA.items())[:8]}
 """The kind of things for each class of elements; each comes after those that it refers to."""
 _ELEMENTS: Final = ("constrained", "causer")
 """The fields that hold elements; others hold names."""
@@ -451,7 +450,7 @@ def load_typeql(
 class _Builder:
     """Builds a model from things."""
 
-    def __init__(self, model: facts.Contents, things: Things) -> None:
+    def __init__(self, model: elements.Owner, things: Things) -> None:
         self._model = model
         self._things = things
         self._elements: dict[Thing, Any] = {}
@@ -522,32 +521,32 @@ class _Builder:
                 preferred += player.names("affected") if is_estimation else [player.name]
             for action in thing.names("action"):
                 weights = dict.fromkeys(preferred, 1.0) or None
-                request = facts.RequiredActionFact(action, weights, **self._period(thing))
+                request = elements.RequiredActionFact(action, weights, **self._period(thing))
                 yield request, thing.place
         for thing in self._things.by_kind["component-process"]:
             if "pid" in thing.owns:
                 for component in thing.names("component"):
                     period = (thing.value("start"), thing.value("end"))
-                    process = facts.ProcessFact(component, thing.value("pid"), *period)
+                    process = elements.ProcessFact(component, thing.value("pid"), *period)
                     yield process, thing.place
         for thing in self._things.by_kind["reconfiguration-plan"]:
             steps: dict[str, Any] = {name: tuple(self._steps(thing, name)) for name in _STEPS}
-            yield facts.PlanFact(**steps, **self._period(thing)), thing.place
+            yield elements.PlanFact(**steps, **self._period(thing)), thing.place
 
     def _stated(self, thing: Thing, element: Any, name: str, own: Own) -> Iterator[Fact]:  # noqa: ANN401  # of any class
         if name == "pid":
-            yield facts.ProcessFact(element.name, own.value)
+            yield elements.ProcessFact(element.name, own.value)
         elif name == "active" and own.value:
-            yield facts.ActiveFact(element.name)
+            yield elements.ActiveFact(element.name)
         elif name == "required" and own.value:
-            yield facts.RequiredFact(element)
+            yield elements.RequiredFact(element)
         elif name == "selected" and own.value:
-            yield facts.SelectedFact(element)
+            yield elements.SelectedFact(element)
         elif name == "status":
             word = " ".join(re.split(r"[\s_-]+", own.value.strip().lower()))
             known = STATUSES[elements.KINDS[type(element)]]
             if word in known:
-                yield facts.StatusFact(element, Status(word))
+                yield elements.StatusFact(element, Status(word))
             else:
                 unknown = UnknownName(f"status of a {thing.type.label}", own.value, map(str, known))
                 self._things.note(own.place, f"{unknown}; not asserted")
@@ -571,7 +570,7 @@ class _Builder:
             for thing in things:
                 own = thing.owns["value"]
                 time = thing.value("time")
-                yield facts.MeasurementFact(name, own.value, time, thing in latest), own.place
+                yield elements.MeasurementFact(name, own.value, time, thing in latest), own.place
 
     def _steps(self, whole: Thing, field: str) -> Iterator[str]:
         """Yield what a plan activates, deactivates or configures, by name."""
