@@ -257,36 +257,33 @@ class State:
             case "dwell", (ref,):
                 self._judge(network.referred(ref), event.time)
             case "component_failed", (name, reason):
-                self._set_flag("failed", network.components[name], True, reason)
+                self.set_flag("failed", network.components[name], True, reason)
             case "component_recovered", (name,):
-                node = network.components[name]
-                if self.asserted.get(node) is Status.FAILURE:
-                    self._assert(node, None)
-                self._set_flag("failed", node, False)
+                self.set_flag("failed", network.components[name], False)
             case "component_active", (name, active, reason):
-                self._set_flag("active", network.components[name], active, "" if active else reason)
+                self.set_flag("active", network.components[name], active, "" if active else reason)
             case "assert_status", (ref, status, reason, until):
-                self._assert(network.referred(ref), Status(status), reason, until)
+                self.assert_status(network.referred(ref), Status(status), reason, until)
             case "retract_status" | "lapse", (ref, *_):
-                self._assert(network.referred(ref), None)
+                self.assert_status(network.referred(ref), None)
             case "assert_required", (ref, required):
-                self._set_flag("asserted_required", network.referred(ref), bool(required))
+                self.set_flag("asserted_required", network.referred(ref), bool(required))
             case "assert_selected", (ref, selected, reason):
                 node = network.referred(ref)
-                self._set_flag("selected", node, bool(selected), reason if selected else "")
+                self.set_flag("selected", node, bool(selected), reason if selected else "")
                 owner = node.used_by[0]
                 is_without = self.selected.isdisjoint(owner.requires)
                 self.give_reason("unselected", owner, reason if is_without else "")
             case "request_action", (name, _):
-                self._set_flag("requested", network.actions[name], True)
+                self.set_flag("requested", network.actions[name], True)
             case "cancel_action", (name, *_):
-                self._set_flag("requested", network.actions[name], False)
+                self.set_flag("requested", network.actions[name], False)
             case "select", (designs, configurations, reason):
                 nodes = [network.designs[name] for name in designs.values()]
                 nodes += [network.configurations[name] for name in configurations.values()]
                 for kind, name, is_selected in event.effects:
                     node = network.kinds[kind][name]
-                    self._set_flag("selected", node, is_selected)
+                    self.set_flag("selected", node, is_selected)
                     nodes.append(node)
                 for node in nodes:
                     self.give_reason("selected", node, reason if node in self.selected else "")
@@ -324,9 +321,10 @@ class State:
         if not history or history[-1][2] < number:
             history.append((time, value, number))
 
-    def _assert(
+    def assert_status(
         self, node: Node, status: Status | None, reason: str = "", until: float | None = None
     ) -> None:
+        """Enter a status that stands in place of the inferred one; None takes it back."""
         self.touch([node])
         if status is None:
             self.asserted.pop(node, None)
@@ -335,8 +333,11 @@ class State:
         self.give_reason("asserted", node, reason, until)
         self._schedule("lapse", node, until)
 
-    def _set_flag(self, fact: str, node: Node, is_so: bool, reason: str = "") -> None:
+    def set_flag(self, fact: str, node: Node, is_so: bool, reason: str = "") -> None:
+        """Enter a fact that is a set of nodes, such as "failed" or "selected"."""
         _put(vars(self)[fact], node, is_so)
+        if fact == "failed" and not is_so and self.asserted.get(node) is Status.FAILURE:
+            self.assert_status(node, None)
         if fact == "selected" and node.kind == "configuration":  # its own status is the same
             self.touch(node.used_by)
             _put(self._obsolete, node, is_so and not self._is_of_use(node))
@@ -353,32 +354,22 @@ class State:
         else:
             self.reasons.pop((fact, node), None)
 
-    def suppose(self, fact: str, node: Node, is_so: bool) -> None:
-        """Enter a fact that is a set of nodes, in a copy."""
-        self.touch([node])
-        _put(vars(self)[fact], node, is_so)
-        if self.asserted.get(node) is Status.FAILURE and not is_so:
-            del self.asserted[node]
-
     def suppose_measurement(self, node: Node, value: float | None) -> None:
         """Enter a value without a time of measurement, in a copy; None is "not measured"."""
         self.touch([node])
         self.time.pop(node, None)
         self.stale.discard(node)
-        if self.reasons.pop(("forecast", node), None):
-            for constraint in node.constraints:
-                self.debounced.pop(constraint, None)
-        if value is None:
-            self.value.pop(node, None)
-        else:
+        self.reasons.pop(("forecast", node), None)
+        self.value.pop(node, None)
+        if value is not None:
             self.value[node] = value
-        for constraint in node.debounced:
-            status = self.verdict(constraint) or Status.NOT_EVALUATED
-            if value is None:
+        for constraint in node.constraints:
+            before = self.debounced.pop(constraint, Debounced()).status
+            if constraint in node.debounced:
                 status = Status.NOT_EVALUATED
-            else:  # as once it has been measured for long enough
-                status = voted_status(constraint.constraint, [value], 1, status) or status
-            self.debounced[constraint] = Debounced(status)
+                if value is not None:  # as once it has been measured for long enough
+                    status = voted_status(constraint.constraint, [value], 1, before) or before
+                self.debounced[constraint] = Debounced(status)
 
     def hold(self, constraint: Node, status: Status) -> None:
         """Give a constraint a status that its measurements do not say, as a forecast does."""
@@ -390,17 +381,15 @@ class State:
     def due(self, now: float) -> tuple[float, str, Node] | None:
         """Return what time has caused until now [s], the first of it: when, the verb, and of what."""
         while now >= self.next_due:
-            (what, node), time = min(
-                self._due.items(),
-                key=lambda item: (item[1], item[0][1].index, item[0][0]),
-                default=(("", None), NEVER),
-            )
-            self.next_due = time
-            if node is None or now < time:
+            dues = [(time, node.index, what, node) for (what, node), time in self._due.items()]
+            self.next_due, _, what, node = min(dues, default=(NEVER, 0, "", None))
+            if node is None or now < self.next_due:
                 return None
-            if what != "dwell" or self.judged(node, time)[0].status is not self.verdict(node):
-                return time, what, node
-            self._judge(node, time)
+            if what != "dwell" or self.judged(node, self.next_due)[0].status is not self.verdict(
+                node
+            ):
+                return self.next_due, what, node
+            self._judge(node, self.next_due)
         return None
 
     def _schedule(self, what: str, node: Node, time: float | None) -> None:
