@@ -8,6 +8,7 @@ constraint, configuration, component, design, function, action.
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import islice
 from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
@@ -39,7 +40,7 @@ _VALUES: Final[Mapping[str, Callable[[Any], Any]]] = {
     "value": float,
     "time": float,
     "asserted": Status,
-    "votes": lambda votes: tuple(map(tuple, votes)),
+    "silent_until": int,
     "debounced": Debounced.from_json,
     "histories": lambda rows: deque(map(tuple, rows)),
 }
@@ -103,8 +104,7 @@ class State:
         asserted: statuses that stand in place of inferred ones.
         asserted_required: nodes stated to be required, whatever is inferred.
         debounced: what is remembered of each debounced constraint.
-        votes: the newest measurements that count, of each attribute with debounced constraints:
-            (number of the event, value).
+        silent_until: the last event before the measurements that count in debouncing, by attribute.
         reasons: those given with facts, by fact and node.
         parameters: those last set on each component, by its name.
         histories: the newest measurements of each attribute, with the number of the event; shared
@@ -128,7 +128,7 @@ class State:
         self.asserted: dict[Node, Status] = {}
         self.asserted_required: set[Node] = set()
         self.debounced: dict[Node, Debounced] = {}
-        self.votes: dict[Node, tuple[tuple[int, float], ...]] = {}
+        self.silent_until: dict[Node, int] = {}
         self.reasons: dict[tuple[str, Node], Reason] = {}
         self.parameters: dict[str, Parameters] = {}
         self.histories: dict[Node, deque[tuple[float, float, int]]] = {}
@@ -249,7 +249,7 @@ class State:
                 node = network.attributes[name]
                 self.touch(node.constraints)
                 self.stale.add(node)
-                self.votes.pop(node, None)
+                self.silent_until[node] = event.number
                 for constraint in node.debounced:
                     status = policy_status(node.attribute.when_stale)
                     self.debounced[constraint] = Debounced(status, event.time, is_silent=True)
@@ -304,11 +304,6 @@ class State:
         self.value[node] = value
         self.time[node] = time
         self.stale.discard(node)
-        if node.debounced:
-            votes = self.votes.get(node, ())
-            if not votes or votes[-1][0] < number:
-                votes = (*votes, (number, value))[-node.attribute.agreement[1] :]
-            self.votes[node] = votes
         self.remember(node, value, time, number)
         if node.debounced or node.element.max_age != math.inf:
             self._schedule_attribute(node, time)
@@ -411,16 +406,17 @@ class State:
 
     def judged(self, constraint: Node, now: float) -> tuple[Debounced, float]:
         """Return what a debounced constraint is by its votes, and when to judge it again [s]."""
-        votes = self.votes.get(constraint.requires[0], ())
-        before = self.debounced.get(constraint) or Debounced()
-        return debounce(constraint, before, [value for _, value in votes], now)
+        attribute = constraint.requires[0]
+        newest = islice(reversed(self.histories.get(attribute, ())), attribute.element.agreement[1])
+        first = self.silent_until.get(attribute, -math.inf)
+        votes = [value for _, value, number in newest if number > first]
+        return debounce(constraint, self.debounced.get(constraint) or Debounced(), votes, now)
 
     def _judge(self, constraint: Node, now: float) -> None:
         """Judge a debounced constraint by its votes, and note when to judge it again."""
         after, again = self.judged(constraint, now)
-        if constraint.requires[0] in self.votes:
-            self.touch([constraint])
-            self.debounced[constraint] = after
+        self.touch([constraint])
+        self.debounced[constraint] = after
         self._schedule("dwell", constraint, again)
 
     # ---------------------------------------------------------------- inference
@@ -535,9 +531,8 @@ class State:
         is_attribute = node.kind == "attribute"
         attribute = node if is_attribute else node.requires[0]
         self.stale.discard(attribute)
-        self.votes.pop(attribute, None)
-        if attribute.debounced and attribute in self.value:
-            self.votes[attribute] = ((0, self.value[attribute]),)
+        if attribute in self.histories:
+            self.silent_until[attribute] = self.histories[attribute][-1][2] - 1
         for constraint in attribute.constraints if is_attribute else [node]:
             self.debounced.pop(constraint, None)
             if constraint in attribute.debounced:
