@@ -17,8 +17,10 @@ from rosa_pddl.domain import (
     Feasibility,
     Formula,
     Schema,
+    SensingError,
     State,
     Step,
+    UnknownObjectError,
     arguments_of,
     exact,
     feasible_atoms,
@@ -28,7 +30,6 @@ from rosa_pddl.domain import (
     numbers_in,
     without_feasibility,
 )
-from rosa_pddl.exceptions import SensingError, UnknownObjectError
 from rosa_pddl.grounding import binding_of
 from rosa_pddl.validate import affected_atoms, changes, ended, started
 
