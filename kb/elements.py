@@ -674,17 +674,23 @@ CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {
 class ByName(dict[Any, T]):
     """The elements of one kind by name, in order of declaration.
 
-    The error for an unknown name lists similar ones.
+    The error for an unknown name lists similar ones, or says that it is a sibling's.
     """
 
-    def __init__(self, kind: str, table: Mapping[str, T] | None = None) -> None:
+    def __init__(
+        self,
+        kind: str,
+        table: Mapping[str, T] | None = None,
+        siblings: Mapping[Any, "ByName[T]"] = MappingProxyType({}),
+    ) -> None:
         super().__init__(table or {})
-        self._kind = kind
+        self.kind = kind
+        self._siblings = siblings
 
     def __missing__(self, name: object) -> T:
-        raise UnknownName(
-            self._kind, name, map(str, tuple(self))
-        )  # as of now: another thread may add to it
+        others = [table.kind for table in self._siblings.values() if name in table]
+        known = map(str, tuple(self))  # as of now: another thread may add to it
+        raise UnknownName(self.kind, name, known, *others[:1])
 
 
 def called(element: Changeable) -> str:

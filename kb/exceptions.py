@@ -42,9 +42,10 @@ class UnknownName(KnowledgeBaseError, KeyError):
         kind: the kind of element that was looked for, e.g. "action".
         name: the name that was given.
         known: the names that exist; the message lists the nearest ones first.
+        is_a: the kind of element that has this name.
     """
 
-    def __init__(self, kind: str, name: object, known: Iterable[str]) -> None:
+    def __init__(self, kind: str, name: object, known: Iterable[str], is_a: str = "") -> None:
         names = list(dict.fromkeys(known))
         begin = str(name)[:2].casefold()
         likely = (
@@ -60,7 +61,9 @@ class UnknownName(KnowledgeBaseError, KeyError):
             hint = f"known: {shown}{', ...' if len(names) > 8 else ''}"
         else:
             hint = "the model has none"
-        super().__init__(f"unknown {kind} {name!r}; {hint}")
+        article = "an" if is_a.startswith("a") else "a"
+        which = f", which is {article} {is_a}" if is_a else ""
+        super().__init__(f"unknown {kind} {name!r}{which}; {hint}")
 
     def __str__(self) -> str:
         return str(self.args[0])

@@ -117,11 +117,19 @@ Fact = (
 
 
 class Amended(NamedTuple):
-    """One change of a model: how ("declared", "changed" or "removed"), of what; `put` makes it, once or again."""
+    """One change of a model.
+
+    Attributes:
+        how: "declared", "changed" or "removed".
+        elements: what was.
+        put: makes the change, once or again.
+        written: what `Model.amend` takes to make it in an equal model, as values for JSON.
+    """
 
     how: str
     elements: tuple[elements.Changeable, ...]
     put: Callable[[], None]
+    written: Any
 
 
 class Contents(elements.Owner, Protocol):

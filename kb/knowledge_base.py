@@ -42,10 +42,11 @@ from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
 from kb.explain import reading as reading_in_words
 from kb.explain import staleness, why, why_selected
 from kb.forecast import Forecaster, feasible_until
-from kb.model import Model, Serials, amend, amendment
+from kb.model import Model
 from kb.network import Network, Node
 from kb.ontology import Answer, Ontology
 from kb.records import (
+    RESULTS,
     Attempt,
     HistoryView,
     Log,
@@ -114,7 +115,8 @@ def _update(
             with self._updating:
                 result = method(self, *args, **kwargs)
             last = self.log.last
-        self._publish(last)
+        if self._publisher.subscribers or self.store is not None:
+            self._publish(last)
         return result
 
     _REPLAYABLE[method.__name__.removeprefix("_")] = updating
@@ -207,7 +209,6 @@ class KnowledgeBase:
         _LOCKS.add(self._lock)
         self._updating = Lock()  # held, with the other one, while this thread records an event
         self.store = None if store is None else Store(store, model, keep)
-        self._serials = Serials.of(model) if self.store is None else self.store.serials
         self._network = network = Network(model)
         self._state = State(network, keep)
         self._records = Records()
@@ -559,12 +560,12 @@ class KnowledgeBase:
         for node in nodes:
             if state.status[node] is Status.UNFEASIBLE:
                 raise Unselectable(f"{node} cannot be selected: {why(state, node, self._now)}")
+        if cause is None:
+            cause = self._cause_of_choice(nodes)
         words = why_selected(state, nodes, self._now, reason, self._records.end_reasons.values())
         selection = state.decide(nodes)
         if dry_run:
             return selection.plan(words, self._now)
-        if cause is None:
-            cause = self._cause_of_choice(nodes)
         number = next(reversed(self._records.plans), 0) + 1
         plan = selection.plan(words, self._now, cause, number)
         effects = tuple(
@@ -586,8 +587,9 @@ class KnowledgeBase:
 
         When a plan completes, all other open plans are abandoned.
         """
-        check_result(result)
-        record = self._records.plan_of(plan)
+        if result not in RESULTS:
+            check_result(result)
+        record = self._plan_of(plan)
         if record.end is not None:
             return False
         self._record("finish_plan", (record.number, result), record.cause)
@@ -638,9 +640,12 @@ class KnowledgeBase:
         name = self._network.components[component].name
         if configuration is not None:
             configuration = self._network.configurations[configuration].name
-        values = checked_parameters(name, parameters or {})
-        whole("the number of an attempt", number)
-        of = self._records.plan_of(plan).number
+        values = parameters or {}
+        if not isinstance(values, MappingProxyType):  # those of an element are checked already
+            values = checked_parameters(name, values)
+        if number != 1:
+            whole("the number of an attempt", number)
+        of = self._plan_of(plan).number
         self._record("record_attempt", (of, name, operation, configuration, values, number))
         return next(reversed(self._records.attempts.values()))
 
@@ -651,7 +656,8 @@ class KnowledgeBase:
         The attempt may be given by its serial number; the result is "completed", "failed" or "abandoned". When a
         "configure" command completes, its parameters are in force.
         """
-        check_result(result)
+        if result not in RESULTS:
+            check_result(result)
         if reason != "":
             text("the reason why an attempt ends", reason)
         serial = attempt.serial if isinstance(attempt, Attempt) else attempt
@@ -672,7 +678,7 @@ class KnowledgeBase:
         """Record whether a plan was vetoed before its execution, and why."""
         flag("is_vetoed", is_vetoed, InvalidValue)
         text("the reason of an answer", reason)
-        number = self._records.plan_of(plan).number
+        number = self._plan_of(plan).number
         self._record("record_answer", (number, is_vetoed, reason))
         return next(reversed(self._records.answers.values()))
 
@@ -711,7 +717,7 @@ class KnowledgeBase:
             raise InvalidValue(f"{verb} cannot be replayed with {arguments!r}: {error}") from None
 
     def _amend(self, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
-        amend(self.model, self._serials, how, written)
+        self.model.amend(how, written)
 
     _REPLAYABLE["amend"] = _amend
 
@@ -803,7 +809,8 @@ class KnowledgeBase:
         is_switched = event.verb == "component_active" and not event.arguments[2]
         is_cause = not (is_switched and self._records.open_plans)  # else a plan has switched it
         changes = []
-        for node in state.changed():
+        changed = [node for node, old in state.before.items() if state.status[node] is not old]
+        for node in sorted(changed, key=attrgetter("level", "index")):
             change = StatusChange(node.kind, node.name, state.before[node], state.status[node])
             changes.append(change)
             if is_cause:
@@ -956,9 +963,8 @@ class KnowledgeBase:
             element.name if isinstance(element, Element) else str(element)
             for element in named or change.elements
         ]
-        written = tuple(amendment(change.how, change.elements, self._serials))
         words = f"{', '.join(names)} {change.how} in the model"
-        self._record("amend", written, words=words)
+        self._record("amend", (change.how, change.written), words=words)
 
     def _renew(self) -> None:
         """Follow the model as it is now; it can be repeated."""
@@ -1039,6 +1045,19 @@ class KnowledgeBase:
         with self._lock, self._updating:
             self._record("store", (words,))
         self._publish()
+
+    def _plan_of(self, plan: object) -> ReconfigurationPlan:
+        """Return a plan of this base, given by itself or by its number."""
+        number = plan.number if isinstance(plan, ReconfigurationPlan) else plan
+        plans = self._records.plans
+        own = plans.get(number) if type(number) is int else None
+        if own is not None and plan in (own, number):
+            return own
+        numbers = f"{min(plans)} to {max(plans)}" if plans else "none yet"
+        raise InvalidValue(
+            f"{plan!r} is not a plan of this knowledge base; give one of kb.plans "
+            f"(numbers: {numbers})"
+        )
 
     def _node(self, element: ElementLike, kinds: Iterable[str]) -> Node:
         return resolve(self, self._state, element, kinds, unique=True)

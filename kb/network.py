@@ -97,9 +97,10 @@ class Network:
         self.model = model
         self.revision = 0  # grows at each `renew`
         self._count = 0
-        self._tables: dict[type, ByName[Node]] = {
-            cls: ByName(kind) for cls, kind in KINDS.items() if kind in LEVELS
-        }
+        self._tables: dict[type, ByName[Node]] = {}
+        for cls, kind in KINDS.items():
+            if kind in LEVELS:
+                self._tables[cls] = ByName(kind, siblings=self._tables)
         self.attributes: Mapping[str, Node] = self._tables[Attribute]
         self.components: Mapping[str, Node] = self._tables[Component]
         self.configurations: Mapping[str, Node] = self._tables[Configuration]

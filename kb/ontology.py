@@ -289,9 +289,8 @@ class _Graph:
                 for another in values[1:]:  # one by one, else owlready2 lets a set decide the order
                     self.rosa[name][thing].append(another)
                 if len(values) > 1:
-                    orders = [line for line in self.rosa.order[thing] if name not in line.split()]
-                    orders.append(" ".join([name, *(part.name for part in values)]))
-                    self.rosa.order[thing] = orders
+                    line = " ".join([name, *(part.name for part in values)])
+                    self.rosa.order[thing].append(line)
         self.written[word, own] = stated
 
     def thing(self, own: str) -> Any:  # noqa: ANN401  # of owlready2
@@ -320,9 +319,8 @@ class _Graph:
             for key, content in value.items():
                 nested = {"prefers": self.thing(_id("Attribute", key)), "weight": content}
                 if name == "hasParameter":
-                    sort = elements.parameter_type(content)
-                    written = json.dumps(content)
-                    nested = {"key": key, "parameter_value": written, "parameter_type": sort}
+                    nested = {"key": key, "parameter_value": json.dumps(content)}
+                    nested["parameter_type"] = elements.parameter_type(content)
                 part = Individual(_RANGES[name], _id(f"{_RANGES[name]}.{own}", key), nested)
                 self.put(part)
                 yield self.thing(part.id)
@@ -428,7 +426,7 @@ class _Reader:
         for field, name in PROPERTIES[cls].items():
             if not name:
                 continue
-            order: list[str] = next((ids for word, *ids in orders if word == name), [])
+            order = [own for word, *ids in orders if word == name for own in ids]
             values = sorted(self._rosa[name][thing], key=partial(_place, order))
             read = [self._read(cls, field, name, value) for value in values]
             if name in ("hasParameter", "hasPreference"):
@@ -501,7 +499,6 @@ _PERIODS: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
 
 An event without further arguments, or with a false one, only ends the period.
 """
-_REQUIRABLE: Final = ("action", "function", "component")
 _WORD_OF_KIND: Final = {kind: CLASSES[cls] for cls, kind in elements.KINDS.items()}
 
 Period = tuple[str, str]
@@ -531,8 +528,11 @@ class _Live(_Graph):
                 (event.time, *event.arguments) for event in events if event.verb == "measure"
             ]
             if self._last < 0:
-                histories = [(view.name, view.history) for view in kb.attributes.values()]
-                past = [(time, name, value) for name, each in histories for time, value in each]
+                past = [
+                    (time, view.name, value)
+                    for view in kb.attributes.values()
+                    for time, value in view.history
+                ]
                 measured = sorted(past)[-HISTORY:]
             if self._last < 0 or any(event.verb == "amend" for event in events):
                 self._model = list(self.describe(kb.model))
@@ -742,16 +742,12 @@ def answers(world: World, sparql: str) -> list[tuple[Answer, ...]]:
 def _row(world: World, types: Sequence[str], row: Sequence[Any]) -> tuple[Answer, ...]:
     """Return a row of owlready2 as plain values; an individual becomes its IRI."""
     values: list[Answer] = []
-    column = 0
-    while column < len(row):
-        value = row[column]
-        is_object = types[column] == "objs"
-        datatype = None if is_object else row[column + 1]
-        if value is not None and (is_object or datatype == "o"):
+    columns = iter(zip(types, row, strict=True))
+    for kind, value in columns:
+        datatype = "o" if kind == "objs" else next(columns)[1]  # the datatype follows
+        if datatype == "o" and value is not None:
             value = f"_:{-value}" if value < 0 else world._unabbreviate(value)
         elif isinstance(value, str):
-            is_flag = datatype == world._abbreviate(f"{_XSD}boolean")
-            value = value == "true" if is_flag else _unfit(value)
-        values.append(value)
-        column += 1 if is_object else 2
+            value = world._to_python(value, datatype)
+        values.append(_unfit(value) if isinstance(value, str) else value)
     return tuple(values)

@@ -1,6 +1,7 @@
 """Choices of designs and configurations, by priority or a criterion, and what they change."""
 
 from collections.abc import Iterable, Mapping
+from operator import attrgetter
 from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
@@ -56,7 +57,7 @@ def choice_by_priority(state: State) -> Choice | None:
     Returns None if there is nothing to do; an empty choice means that only what is obsolete is
     given up.
     """
-    adaptable = in_order(state.adaptable)
+    adaptable = sorted(state.adaptable, key=attrgetter("index"))
     functions = [node for node in adaptable if node.kind == "function"]
     designs = firsts_by_priority(state, functions)
     selection = state.decide(designs)

@@ -380,18 +380,6 @@ class Records:
             (values["preference"],) = fact.preference
         self._add(RequiredAction(**values))
 
-    def plan_of(self, plan: object) -> ReconfigurationPlan:
-        """Return a plan of these records, given by itself or by its number."""
-        number = plan.number if isinstance(plan, ReconfigurationPlan) else plan
-        own = self.plans.get(number) if type(number) is int else None
-        if own is not None and plan in (own, number):
-            return own
-        numbers = f"{min(self.plans)} to {max(self.plans)}" if self.plans else "none yet"
-        raise InvalidValue(
-            f"{plan!r} is not a plan of this knowledge base; give one of kb.plans "
-            f"(numbers: {numbers})"
-        )
-
     def to_json(self) -> dict[str, Any]:
         """Return all records as values of which JSON is made."""
         tables = self._tables.values()

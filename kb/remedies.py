@@ -79,6 +79,7 @@ def bounds(*nodes: Node) -> dict[str, Interval]:
 _REPAIRS: Final = {
     "recovered": "{} recovered",
     "retracted": "asserted status of {} retracted",
+    "lapsed": "asserted status of {} retracted",
     "designed": "a design for {}",
 }
 
@@ -87,8 +88,8 @@ class Repair(NamedTuple):
     """A change of a fact that is no measurement.
 
     Attributes:
-        what: "recovered" for a component, "retracted" for an asserted status, "designed" for a
-            function without a design in the model.
+        what: "recovered" for a component, "retracted" for an asserted status, "lapsed" for one
+            that ends by itself, "designed" for a function without a design in the model.
         element: the element of the model.
     """
 
@@ -157,8 +158,9 @@ class Requirements:
         needed = [self.of(constraint) for constraint in node.constraints]
         if asserted is Status.FAILURE or (state is not None and node in state.failed):
             needed.append(_repaired("recovered", node))
-        if asserted in (Status.UNFEASIBLE, Status.VIOLATED):
-            needed.append(_repaired("retracted", node))
+        if state is not None and asserted in (Status.UNFEASIBLE, Status.VIOLATED):
+            is_lasting = state.reason("asserted", node).until is None
+            needed.append(_repaired("retracted" if is_lasting else "lapsed", node))
         if node.kind == "constraint":
             needed.append(self._bound(node, node.requires[0]))
         elif node.kind == "function" and state is not None and not node.requires:
@@ -305,13 +307,14 @@ class Remedy:
         """Return whether all its facts are about attributes and components that an action restores.
 
         A measurement that has to be repeated or to last is about its attribute; an asserted status
-        or a missing design is nothing that an action can restore.
+        or a missing design is nothing that an action can restore. One that lapses needs no action.
         """
         attributes = [each.name for each in action.restores if isinstance(each, Attribute)]
         return all(
             fact.attribute in attributes
             if isinstance(fact, Measured)
-            else fact.what == "recovered" and fact.element in action.restores
+            else fact.what == "lapsed"
+            or (fact.what == "recovered" and fact.element in action.restores)
             for fact in self.facts
         )
 

@@ -32,6 +32,8 @@ KEPT: Final = 10_000
 """How many measurements of each attribute are kept: the newest ones."""
 
 
+_CONFIGURATION: Final = LEVELS["configuration"]
+_COMPONENT: Final = LEVELS["component"]
 _FLAGS: Final = ("stale", "failed", "active", "selected", "requested", "asserted_required")
 _VALUES: Final[Mapping[str, Callable[[Any], Any]]] = {
     "value": float,
@@ -56,6 +58,9 @@ class Reason(NamedTuple):
         if self.until is None:
             return words
         return f" until {f'{self.until:.3f}'.rstrip('0').rstrip('.')} s{words}"
+
+
+NO_REASON: Final = Reason()
 
 
 class Selection(NamedTuple):
@@ -186,7 +191,7 @@ class State:
 
     def reason(self, fact: str, node: Node) -> Reason:
         """Return the reason that was given with a fact, such as "failed" or "selected"."""
-        return self.reasons.get((fact, node)) or Reason()
+        return self.reasons.get((fact, node), NO_REASON)
 
     # ---------------------------------------------------------------- choosing
 
@@ -288,11 +293,6 @@ class State:
                     self.give_reason("unselected", node.used_by[0])
         self.infer()
 
-    def changed(self) -> list[Node]:
-        """Return the nodes whose status changed in the event that is applied, the lowest level first."""
-        changed = [node for node, old in self.before.items() if self.status[node] is not old]
-        return sorted(changed, key=attrgetter("level", "index"))
-
     def set_measurement(self, node: Node, value: float, time: float, number: int) -> None:
         """Make a measurement the latest one, and touch the constraints whose status may differ."""
         before = self.value.get(node)
@@ -336,8 +336,12 @@ class State:
         self._schedule("lapse", node, until)
 
     def _set_flag(self, fact: str, node: Node, is_so: bool, reason: str = "") -> None:
-        self.touch([node])
         _put(vars(self)[fact], node, is_so)
+        if fact == "selected" and node.kind == "configuration":  # its own status is the same
+            self.touch(node.used_by)
+            _put(self._obsolete, node, is_so and not self._is_of_use(node))
+        else:
+            self.touch([node])
         self.give_reason(fact, node, reason)
 
     def give_reason(
@@ -440,13 +444,17 @@ class State:
                 outdated[0].update(node.constraints)
                 continue
             outdated[node.level].add(node)
-            if node.kind in ("action", "function", "function design"):  # what they require
+            if node.kind in ("action", "function"):
                 self.touch(node.requires)
-            if node.kind in ("function design", "configuration"):
-                for user in node.used_by:
-                    outdated[user.level].add(user)
-            elif node.kind == "component":
-                outdated[LEVELS["configuration"]].update(node.requires)
+            if node.kind == "function":  # what is obsolete may differ
+                for design in node.requires:
+                    for component in design.requires:
+                        outdated[_CONFIGURATION].update(component.requires)
+            elif node.kind == "function design":
+                outdated[_COMPONENT].update(node.requires)
+                outdated[node.level + 1].update(node.used_by)
+            elif node.kind == "configuration":
+                outdated[_COMPONENT].update(node.used_by)
 
     def infer(self) -> None:
         """Infer what is outdated. A node stays outdated until all that follows is stored."""

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -241,12 +242,11 @@ _VALUES: Final[Mapping[str, tuple[str, tuple[type, ...]]]] = {
 
 
 class Own(NamedTuple):
-    """The value of an attribute, and its place in the order of all statements."""
+    """The value of an attribute, and where it is stated."""
 
     label: str
     value: Any
     place: Place
-    order: int
 
 
 @dataclass(slots=True, eq=False)
@@ -255,7 +255,6 @@ class Thing:
 
     type: Type
     place: Place
-    order: int
     owns: dict[str, Own] = field(default_factory=dict)
     players: dict[str, list["Thing"]] = field(default_factory=lambda: defaultdict(list))
 
@@ -288,7 +287,6 @@ class Things:
         self.by_kind: dict[str, list[Thing]] = defaultdict(list)
         self.named: dict[str, dict[str, Thing]] = defaultdict(dict)
         self.notes: list[str] = []
-        self._order = 0
 
     def note(self, place: Place, text: str) -> None:
         self.notes.append(f"{place}: {text}")
@@ -305,7 +303,7 @@ class Things:
                 place = _place(file, label)
                 if str(word) in things or len(types) > 1:
                     raise place.error(f"`{word}` has a type already; a thing has one")
-                thing = Thing(_type_of(label, place), place, 0)
+                thing = Thing(_type_of(label, place), place)
                 self.by_kind[thing.kind].append(thing)
                 subjects[-1] = thing
                 if word:
@@ -319,9 +317,7 @@ class Things:
             return things[variable]
 
         for (word, clauses), subject in zip(statements, subjects, strict=True):
-            self._order += 1
             thing = subject or resolve(word)
-            thing.order = thing.order or self._order
             for clause in clauses:
                 if isinstance(clause, Has):
                     self.give(thing, str(clause.label), clause.value, _place(file, clause.label))
@@ -367,7 +363,7 @@ class Things:
                 raise place.error(f"{label} is {value!r} here, and {said}")
             self.note(place, f"{label} is ignored: {said}")
             return
-        thing.owns[name] = Own(label, value, place, self._order)
+        thing.owns[name] = Own(label, value, place)
         if name == "name":
             first = self.named[thing.kind].setdefault(str(value), thing)
             if first is not thing:
@@ -392,11 +388,16 @@ class Things:
 
     def complete(self) -> None:
         """Refuse relations that lack a part, and name those that need a name."""
+        for thing in self.by_kind["constraint"]:
+            if "status" in thing.owns and not thing.players["attribute"]:
+                attribute = Thing(TYPES["attribute"], thing.place)
+                self.by_kind["attribute"].append(attribute)
+                self._name(attribute, "unnamed attribute")
+                thing.players["attribute"].append(attribute)
         for kind, roles in WORDS["roles"].items():
             for thing in self.by_kind[kind]:
                 for role, row in roles.items():
-                    only_states = "status" in thing.owns and kind == "constraint"
-                    if row.get("least", 1) > len(thing.players[role]) and not only_states:
+                    if row.get("least", 1) > len(thing.players[role]):
                         write = f"write ({role}: $x, ...)"
                         raise thing.place.error(f"this {thing.type.label} has no {role}; {write}")
         for kind, owner in (
@@ -405,16 +406,14 @@ class Things:
         ):
             for thing in self.by_kind[kind]:
                 if "name" not in thing.owns:
-                    name = self.unused(kind, f"{thing.names(owner)[0]} {kind.split('-')[1]}")
-                    self.give(thing, "name", name, thing.place)
-                    self.note(thing.place, f"this {kind} has no name; it is called {name!r}")
+                    self._name(thing, f"{thing.names(owner)[0]} {kind.split('-')[1]}")
 
-    def unused(self, kind: str, stem: str) -> str:
-        """Return a name that no thing of a kind has."""
-        number = 1
-        while f"{stem} {number}" in self.named[kind]:
-            number += 1
-        return f"{stem} {number}"
+    def _name(self, thing: Thing, stem: str) -> None:
+        """Give a thing a name that no other of its kind has."""
+        names = (f"{stem} {number}" for number in count(1))
+        name = next(name for name in names if name not in self.named[thing.kind])
+        self.give(thing, "name", name, thing.place)
+        self.note(thing.place, f"this {thing.kind} has no name; it is called {name!r}")
 
 
 # ---------------------------------------------------------------- a model
@@ -465,7 +464,7 @@ class _Builder:
                         element: Any = self._model.state(cls, values)
                         self._elements[thing] = element
                         self._model.places[element] = str(thing.place)
-        for _, fact, place in sorted(self._facts(), key=lambda stated: stated[0]):
+        for fact, place in self._facts():
             with place.blamed():
                 self._model.add_fact(fact)
 
@@ -492,8 +491,6 @@ class _Builder:
                 name for each in required for name in each.names("required-function")
             ]
         elif cls is Constraint:
-            if not values["attribute"]:
-                values["attribute"] = self._stand_in(thing)
             values["operator"] = str(values.get("operator", ">=")).strip()
             values["value"] = (
                 thing.value("value", 0.0) if "status" in thing.owns else thing.required("value")
@@ -509,23 +506,14 @@ class _Builder:
             values["name"] = thing.name
         yield values
 
-    def _stand_in(self, constraint: Thing) -> str:
-        """Declare an attribute for a constraint that only has a status."""
-        name = self._things.unused("attribute", "unnamed attribute")
-        note = f"this constraint has a status and no attribute; it is given {name!r}"
-        self._things.note(constraint.place, note)
-        self._things.named["attribute"][name] = constraint
-        self._model.state(elements.Attribute, {"name": name})
-        return name
-
     # ---------------------------------------------------------------- facts
 
-    def _facts(self) -> Iterator[tuple[int, Fact, Place]]:
-        """Yield the facts with their order and places."""
+    def _facts(self) -> Iterator[tuple[Fact, Place]]:
+        """Yield the facts and their places."""
         for thing, element in self._elements.items():
             for name, own in thing.owns.items():
                 for fact in self._stated(thing, element, name, own):
-                    yield own.order, fact, own.place
+                    yield fact, own.place
         yield from self._measurements()
         for thing in self._things.by_kind["required-action"]:
             preferred: list[str] = []
@@ -535,18 +523,16 @@ class _Builder:
             for action in thing.names("action"):
                 weights = dict.fromkeys(preferred, 1.0) or None
                 request = facts.RequiredActionFact(action, weights, **self._period(thing))
-                yield thing.order, request, thing.place
+                yield request, thing.place
         for thing in self._things.by_kind["component-process"]:
             if "pid" in thing.owns:
                 for component in thing.names("component"):
                     period = (thing.value("start"), thing.value("end"))
                     process = facts.ProcessFact(component, thing.value("pid"), *period)
-                    yield thing.order, process, thing.place
-            else:
-                self._things.note(thing.place, f"this {thing.type.label} has no pid; it is ignored")
+                    yield process, thing.place
         for thing in self._things.by_kind["reconfiguration-plan"]:
             steps: dict[str, Any] = {name: tuple(self._steps(thing, name)) for name in _STEPS}
-            yield thing.order, facts.PlanFact(**steps, **self._period(thing)), thing.place
+            yield facts.PlanFact(**steps, **self._period(thing)), thing.place
 
     def _stated(self, thing: Thing, element: Any, name: str, own: Own) -> Iterator[Fact]:  # noqa: ANN401  # of any class
         if name == "pid":
@@ -566,29 +552,26 @@ class _Builder:
                 unknown = UnknownName(f"status of a {thing.type.label}", own.value, map(str, known))
                 self._things.note(own.place, f"{unknown}; not asserted")
 
-    def _measurements(self) -> Iterator[tuple[int, Fact, Place]]:
+    def _measurements(self) -> Iterator[tuple[Fact, Place]]:
         """Yield all measurements; the latest of an attribute is as stated, else the newest one."""
-        measured: dict[str, list[tuple[Thing, Own]]] = defaultdict(list)
+        measured: dict[str, list[Thing]] = defaultdict(list)
         for thing in self._things.by_kind["measurement"]:
             thing.required("value")
             for name in thing.names("measured-attribute"):
-                measured[name].append((thing, thing.owns["value"]))
+                measured[name].append(thing)
         for thing in self._things.by_kind["attribute"]:
             if "value" in thing.owns:
-                measured[thing.name].append((thing, thing.owns["value"]))
-        for name, pairs in measured.items():
-            stated = [thing for thing, _ in pairs if "latest" in thing.owns]
-            latest = [thing for thing in stated if thing.value("latest")]
-            ages = [
-                (thing.value("time", 0.0), own.order, thing)
-                for thing, own in pairs
-                if thing not in stated
-            ]
-            if ages and not latest:
-                latest = [max(ages, key=lambda age: age[:2])[-1]]
-            for thing, own in pairs:
-                fact = facts.MeasurementFact(name, own.value, thing.value("time"), thing in latest)
-                yield own.order, fact, own.place
+                measured[thing.name].append(thing)
+        for name, things in measured.items():
+            times = {thing: thing.value("time", 0.0) for thing in reversed(things)}
+            newest = [thing for thing in times if "latest" not in thing.owns]
+            latest = [thing for thing in things if thing.value("latest")]
+            if newest and not latest:
+                latest = [max(newest, key=times.__getitem__)]
+            for thing in things:
+                own = thing.owns["value"]
+                time = thing.value("time")
+                yield facts.MeasurementFact(name, own.value, time, thing in latest), own.place
 
     def _steps(self, whole: Thing, field: str) -> Iterator[str]:
         """Yield what a plan activates, deactivates or configures, by name."""

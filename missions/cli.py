@@ -34,28 +34,28 @@ COMMANDS: Final = {
     ),
     "replay": (
         "recordings:replay",
-        "Decide once more what was recorded; exit with 1 if that differs.",
+        "Decide again what was recorded, and exit with 1 if that differs.",
     ),
     "record": ("recordings:record", "Look at a recording, or put it in another form."),
     "check": ("check:check", "Judge a model, and say what to do about each finding."),
     "plan": (
         "plan:plan",
-        "Plan, say why actions are out and why there is no plan, and exit with 0 if there is one.",
+        "Plan, say why actions are out or why there is no plan, and exit with 0 if there is one.",
     ),
     "verify": (
         "plan:verify",
-        "Say what holds in everything that can happen; exit with 0 if all of it does.",
+        "Verify a mission's tree exhaustively, and exit with 0 if all properties hold.",
     ),
     "campaign": ("experiments:campaign", "Run missions with many managers, settings and seeds."),
     "report": (
         "experiments:report",
-        "Say what came of a campaign; or show a run, or two side by side, as a page.",
+        "Write the report on a campaign, or show a recording as a page.",
     ),
     "learn": (
         "experiments:learn",
         "Compare a model with runs: rates and durations, each with its interval.",
     ),
-    "store": ("store:app", "Look after the store of a knowledge base."),
+    "store": (":store", "Show or copy the store of a knowledge base."),
 }
 """The sub-commands: where each is in `missions.commands`, and its help. It is imported only when it
 is called."""

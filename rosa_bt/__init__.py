@@ -1,4 +1,4 @@
-"""Behaviours of py_trees that ask a knowledge base which actions are feasible, and request the actions that they do."""
+"""Behaviours of py_trees that ask which actions are feasible, and request those that they do."""
 
 from rosa_bt.behaviours import HasStatus, IsActionFeasible, Measurement, RosaAction
 from rosa_bt.composites import (

@@ -54,7 +54,7 @@ def halt(root: Behaviour) -> None:
 
 
 class GuardedBehaviour(Behaviour):
-    """A behaviour that fails on an exception, with its text as feedback, and that an interrupt stops."""
+    """A behaviour that fails on an exception, with its text as feedback; an interrupt stops it."""
 
     def advance(self) -> Generator[Behaviour, None, Status]:
         """Do the work of one tick: yield the nodes that are visited before, return the status."""
@@ -160,7 +160,7 @@ class ActionBehaviour(PortsMixin, KbBehaviour):
 
 
 class IsActionFeasible(ActionBehaviour):
-    """Condition: SUCCESS while the action's status is not "unfeasible", else FAILURE with the reason.
+    """Condition: SUCCESS while the action is not unfeasible, else FAILURE with the reason.
 
     Args:
         action: name of the ROSA action; without it, the port `action` gives it.
@@ -338,7 +338,7 @@ class RosaAction(ActionBehaviour, Requester):
         self.exclusive = exclusive
         self.halting_timeout = halting_timeout
         self._preference = preference
-        self._request = ActionRequest(self, kb, timeout if wait else None)
+        self._request = ActionRequest(self, kb)
         self._has_begun = False
         self._saved_s = -math.inf
 
@@ -360,9 +360,9 @@ class RosaAction(ActionBehaviour, Requester):
         """Return how far the action has come, or None (the default) if it starts afresh next time.
 
         Called before `terminate` when the action is interrupted or fails; and, if the knowledge
-        base
-        has a store, about once a second while it runs: the store keeps it (as JSON) for the next
-        program. It is kept by action and name of the behaviour until the action succeeds or a new mission begins.
+        base has a store, about once a second while it runs: the store keeps it (as JSON) for the
+        next program. It is kept by action and name of the behaviour until the action succeeds or a
+        new mission begins.
         """
         return None
 

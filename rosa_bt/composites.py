@@ -1,7 +1,7 @@
 """The idioms of missions that adapt: two composites, and subtrees that are made in one call."""
 
 from collections.abc import Generator, Iterator, Mapping, MutableMapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 from py_trees import composites
 from py_trees.behaviour import Behaviour
@@ -11,7 +11,7 @@ from py_trees.decorators import Decorator
 from kb import UnknownName
 from rosa_bt.behaviours import ActionBehaviour, IsActionFeasible, RosaAction
 from rosa_bt.decorators import ForAction
-from rosa_bt.exceptions import TreeChangeError
+from rosa_bt.exceptions import TreeChangeError, path_of
 from rosa_bt.requests import Requester, is_parallel
 
 
@@ -97,7 +97,8 @@ class DoUntilUnfeasible(_RoleComposite):
 
 
 LastAction = MutableMapping[str, Any]
-"""Holds, under a key, the action that was done last; shared by the behaviours of all actions."""
+"""Holds the action that was done last; shared by the behaviours of all actions."""
+_LAST: Final = "last_action"
 
 
 class SafeSwitch(_RoleComposite):
@@ -112,7 +113,6 @@ class SafeSwitch(_RoleComposite):
         transitions: what to do first, by name of the action that was done last.
         last_action: holds the action that was done last.
         action: name of the action, if the task is neither a leaf with an action nor a `ForAction`.
-        key: the key in `last_action`.
     """
 
     def __init__(
@@ -122,16 +122,14 @@ class SafeSwitch(_RoleComposite):
         transitions: Mapping[str, Behaviour],
         last_action: LastAction,
         action: str | None = None,
-        key: str = "last_action",
     ) -> None:
         super().__init__(name, [*transitions.values(), task])
         self.action = task.action if isinstance(task, ActionBehaviour | ForAction) else str(action)
         self.last_action = last_action
-        self.key = key
         self.after = tuple(transitions)
 
     def advance(self) -> Generator[Behaviour, None, Status]:
-        before = self.last_action.get(self.key)
+        before = self.last_action.get(_LAST)
         task = self.children[-1]
         if before in self.after:
             transition = self.current_child = self.children[self.after.index(before)]
@@ -140,12 +138,12 @@ class SafeSwitch(_RoleComposite):
             self.feedback_message = feedback.removesuffix(": ")
             if transition.status is not Status.SUCCESS:
                 return transition.status
-            self.last_action[self.key] = self.action
+            self.last_action[_LAST] = self.action
         self.current_child = task
         yield from task.tick()
         self.feedback_message = task.feedback_message
         if task.status is not Status.FAILURE:
-            self.last_action[self.key] = self.action
+            self.last_action[_LAST] = self.action
         return task.status
 
 
@@ -209,13 +207,6 @@ def do_until_unfeasible(
     return DoUntilUnfeasible(name, doing, instead, memory=memory)
 
 
-def _ancestors(node: Behaviour) -> Iterator[Behaviour]:
-    parent = node.parent
-    while parent is not None:
-        yield parent
-        parent = parent.parent
-
-
 def unguarded(root: Behaviour) -> list[RosaAction]:
     """Return the actions that go on when they become unfeasible, and that nothing above stops then.
 
@@ -228,7 +219,7 @@ def unguarded(root: Behaviour) -> list[RosaAction]:
 
 def _is_guarded(action: RosaAction) -> bool:
     node: Behaviour = action
-    for parent in _ancestors(action):
+    for parent in path_of(action)[1:]:
         if isinstance(parent, ForAction) and parent.action == action.action:
             return True
         is_sequence = isinstance(parent, composites.Sequence) and not parent.memory
@@ -245,7 +236,7 @@ def _is_guarded(action: RosaAction) -> bool:
 
 
 def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behaviour]) -> Behaviour:
-    """Add transitions to a tree: behaviours that run between two actions, however the tree gets there.
+    """Add behaviours to a tree that run between two actions, however the tree gets there.
 
     Args:
         root: of a tree that is not running; its actions (`RosaAction`, `ForAction`) are wrapped.
@@ -294,7 +285,7 @@ def _check_switch(
         raise TreeChangeError(
             f"{parent.name!r} is neither a composite nor a decorator; it cannot hold a transition"
         )
-    for node in _ancestors(task):
+    for node in path_of(task)[1:]:
         if is_parallel(node) or isinstance(node, Requester):
             reason = "its actions run at the same time, so none of them is done last"
             raise TreeChangeError(

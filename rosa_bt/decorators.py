@@ -1,4 +1,4 @@
-"""Decorators: an action around any behaviour, trying again at once, and times by the runner's clock.
+"""Decorators: an action around a behaviour, another attempt, and times by the runner's clock.
 
 `Timeout`, `Timer`, `Delay` and `Retry` count by the clock of the `TreeRunner` that ticks their
 tree; in a tree without one, by the monotonic clock of this computer.
@@ -67,7 +67,7 @@ class ForAction(GuardedBehaviour, Requester, Decorator):
         self.wait = wait
         self.timeout = timeout
         self.exclusive = exclusive
-        self._request = ActionRequest(self, kb, timeout if wait else None)
+        self._request = ActionRequest(self, kb)
 
     def advance(self) -> Generator[Behaviour, None, Status]:
         new_status = self._request.admit()

@@ -49,7 +49,7 @@ class _Row(NamedTuple):
 
 
 def ascii_tree(root: Behaviour) -> str:
-    """Return a tree as text: one line for each behaviour, with its status, feasibility and feedback.
+    """Return a tree as text, a line for each behaviour with status, feasibility and feedback.
 
     `*` is RUNNING, `o` SUCCESS, `x` FAILURE, `-` not ticked. `->` is a sequence, `?` a selector,
     `=>` a parallel, `^` a decorator, `?!` a `DoUntilUnfeasible`; `m` stands for memory.
@@ -62,7 +62,7 @@ def ascii_tree(root: Behaviour) -> str:
 
 
 def svg_tree(root: Behaviour) -> str:
-    """Return a tree as an SVG picture: one behaviour below the other, children indented to the right."""
+    """Return a tree as an SVG picture, one behaviour below the other, children indented."""
     edges = list[str]()
     shapes = list[str]()
     feet = list[tuple[float, float]]()
@@ -159,7 +159,7 @@ def svg_size(lines: Sequence[str]) -> tuple[float, float]:
 
 
 def svg_box(x: float, y: float, lines: Sequence[str], style: str) -> Iterator[str]:
-    """Yield the SVG elements of a box with lines of text, whose upper left corner is at (x, y) [px]."""
+    """Yield the SVG elements of a box with lines of text; (x, y) is its upper left corner [px]."""
     width, height = svg_size(lines)
     yield f'<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" rx="5" {style}/>'
     for number, line in enumerate(lines):

@@ -1,4 +1,4 @@
-"""The errors of this package, how messages are made, and how an exception of a behaviour is reported."""
+"""The errors of this package, and how an exception of a behaviour is reported."""
 
 import logging
 from collections.abc import Callable, Iterable
@@ -87,12 +87,12 @@ def on_error(root: Behaviour, handler: ErrorHandler) -> None:
     _handlers[root] = WeakMethod(handler)
 
 
-def root_of(behaviour: Behaviour) -> Behaviour:
-    """Return the root of the tree of a behaviour."""
-    root = behaviour
-    while root.parent is not None:
-        root = root.parent
-    return root
+def path_of(behaviour: Behaviour) -> list[Behaviour]:
+    """Return a behaviour and those above it, up to the root."""
+    path = [behaviour]
+    while path[-1].parent is not None:
+        path.append(path[-1].parent)
+    return path
 
 
 def report(behaviour: Behaviour, error: Exception, note: str = "") -> None:
@@ -105,7 +105,7 @@ def report(behaviour: Behaviour, error: Exception, note: str = "") -> None:
         _logged.add(behaviour)
         kind = type(behaviour).__name__
         _log.error("%s %r: %s", kind, behaviour.name, behaviour.feedback_message, exc_info=error)
-    reference = _handlers.get(root_of(behaviour))
+    reference = _handlers.get(path_of(behaviour)[-1])
     handler = None if reference is None else reference()
     if handler is not None:
         handler(behaviour, error)

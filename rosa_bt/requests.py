@@ -1,4 +1,4 @@
-"""Who has requested which action, what still halts, and the progress that interrupted actions saved.
+"""Who has requested which action, what still halts, and what interrupted actions saved.
 
 All of this belongs to a knowledge base and not to behaviours, because behaviours come and go: a
     tree
@@ -18,7 +18,7 @@ from py_trees.composites import Parallel
 
 from kb import Event, KnowledgeBase, UnknownName
 from kb import Status as ElementStatus
-from rosa_bt.exceptions import report
+from rosa_bt.exceptions import path_of, report
 
 _log = logging.getLogger(__name__)
 _RESULTS: Final = {
@@ -151,15 +151,15 @@ class ActionRequest:
     """The request of one behaviour, from `admit` to the first `close`.
 
     Args:
-        owner: the behaviour; it has an `action` and a `preference`.
-        timeout: how long to wait for the robot's configuration [s]; None: do not wait.
+        owner: the behaviour; it has an `action` and a `preference`, and says whether to `wait` for
+            the robot's configuration, and for how long (`timeout` [s]).
     """
 
-    def __init__(self, owner: Any, kb: KnowledgeBase, timeout: float | None) -> None:  # noqa: ANN401  # a Requester
-        if timeout is not None and not timeout > 0:
-            raise ValueError(f"a time-out is more than 0 s, or math.inf for none; not {timeout!r}")
+    def __init__(self, owner: Any, kb: KnowledgeBase) -> None:  # noqa: ANN401  # a Requester
+        if not owner.timeout > 0:
+            problem = f"a time-out is more than 0 s, or math.inf for none; not {owner.timeout!r}"
+            raise ValueError(problem)
         self.owner = owner
-        self.timeout: Final = timeout
         self._kb = kb
         self._since = math.nan
         self._halting_since = math.nan
@@ -173,7 +173,7 @@ class ActionRequest:
         return self in requests_of(self._kb).halting
 
     def admit(self) -> Status:
-        """Return SUCCESS if the owner may work, RUNNING while it waits, FAILURE if it must not work.
+        """Return SUCCESS if the owner may work, RUNNING while it waits, else FAILURE.
 
         The reason becomes the owner's feedback. If the action became unfeasible, the owner is
         stopped.
@@ -196,11 +196,17 @@ class ActionRequest:
         if objection:
             owner.feedback_message = objection
             return Status.FAILURE
-        if self._is_ready:
-            return Status.SUCCESS
-        status, owner.feedback_message = self._readiness(str(self._action))
-        self._is_ready = status is Status.SUCCESS
-        return status
+        lacking = "" if self._is_ready else self._lacking()
+        if lacking and self._kb.now - self._since >= owner.timeout:
+            owner.feedback_message = f"not ready within {owner.timeout:g} s: {lacking}"
+            return Status.FAILURE
+        if lacking:
+            owner.feedback_message = f"waiting: {lacking}"
+            return Status.RUNNING
+        if not self._is_ready:
+            owner.feedback_message = ""
+        self._is_ready = True
+        return Status.SUCCESS
 
     def _open(self, action: str, preference: str | None) -> str:
         """Request an action; return why it is refused. It is registered before it is requested."""
@@ -223,23 +229,15 @@ class ActionRequest:
         except UnknownName:
             return f"{action} is no longer in the model"
 
-    def _readiness(self, action: str) -> tuple[Status, str]:
-        """Return SUCCESS if the robot is configured, RUNNING or after the time-out FAILURE.
-
-        And why.
-        """
+    def _lacking(self) -> str:
+        """Return why the robot is not configured for the action; empty if it is."""
         kb = self._kb
-        if self.timeout is None:
-            return Status.SUCCESS, ""
+        action = str(self._action)
+        if not self.owner.wait:
+            return ""
         if kb.actions[action].status is not ElementStatus.SOLVED:
-            lacking = why(kb, action)
-        elif kb.pending_plan is not None:
-            lacking = f"the robot is being reconfigured ({kb.pending_plan})"
-        else:
-            return Status.SUCCESS, ""
-        if kb.now - self._since >= self.timeout:
-            return Status.FAILURE, f"not ready within {self.timeout:g} s: {lacking}"
-        return Status.RUNNING, f"waiting: {lacking}"
+            return why(kb, action)
+        return f"the robot is being reconfigured ({kb.pending_plan})" if kb.pending_plan else ""
 
     def close(self, status: Status, reason: str) -> None:
         """Release the action; the last of its requesters cancels the request, with its result.
@@ -256,12 +254,8 @@ class ActionRequest:
             if status is Status.INVALID and not reason and not kb.is_feasible(action):
                 reason = kb.why(kb.actions[action])
             kb.cancel_action(action, _RESULTS[status], "" if status is Status.SUCCESS else reason)
-            for preference in list(others.values()):  # another thread joined meanwhile
-                kb.request_action(action, preference)
         self._action = None
         self._is_ready = False
-
-    # ---------------------------------------------------------------- halting
 
     def _blocking(self, action: str) -> str:
         """Return what an action has to wait for before it is requested; empty if for nothing."""
@@ -291,13 +285,11 @@ class ActionRequest:
 
     def _displaces(self, other: "ActionRequest") -> bool:
         """Tell whether the other owner will be interrupted as soon as this one is RUNNING."""
-        path: list[Behaviour] = [self.owner]
-        while path[-1].parent is not None:
-            path.append(path[-1].parent)
-        node: Behaviour | None = other.owner
-        while node is not None and node not in path:
-            node = node.parent
-        return node is not None and not is_parallel(node)
+        mine = set(path_of(self.owner))
+        for node in path_of(other.owner):
+            if node in mine:
+                return not is_parallel(node)
+        return False
 
     def halt(self) -> None:
         """Begin to halt the owner, which was interrupted.

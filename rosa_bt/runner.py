@@ -330,7 +330,7 @@ class TreeRunner:
         return True
 
     def tick(self) -> None:
-        """Tick once; what a handler or visitor raises, or an interrupt, is raised when all is stopped."""
+        """Tick once; an exception of a handler, or an interrupt, first stops the tree."""
         self._read_clock()
         if self._is_stopped:
             self.tree.advance_halting()
@@ -340,7 +340,7 @@ class TreeRunner:
             self._forget_progress()
 
     def stop(self) -> None:
-        """Interrupt the tree: from now on, ticks only let its actions halt, until `is_halting` is False."""
+        """Interrupt the tree: ticks only let its actions halt, until `is_halting` is False."""
         self._is_stopped = True
         halt(self.tree.root)
 

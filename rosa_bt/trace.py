@@ -32,7 +32,7 @@ _CAUSED_BY_TIME: Final = ("stale", "dwell", "lapse")
 
 
 class Node(NamedTuple):
-    """A behaviour in a tree: its depth (0 for the root), the name of its class, and its own name, not always unique."""
+    """A behaviour in a tree: depth (0 for the root), name of the class, own name (not unique)."""
 
     depth: int
     kind: str
@@ -91,7 +91,7 @@ class Tick(NamedTuple):
 
     @property
     def decisions(self) -> tuple[Decision, ...]:
-        """The requests, results and changes of feasibility of actions since the end of the tick before."""
+        """The requests, results and changes of feasibility of actions since the last tick."""
         decisions = []
         reasons = iter(self.reasons)
         for event, _ in self.events:
@@ -126,7 +126,7 @@ class Trace:
 
 
 class TraceVisitor(VisitorBase):
-    """Records every tick: the events before it, which behaviours were ticked, with which status and feedback.
+    """Records every tick: the events before it, and what was ticked with which status.
 
     Add it to the visitors of a tree before the first tick; the trace begins with the first event
     that the log of the
@@ -174,7 +174,7 @@ class TraceVisitor(VisitorBase):
         return Trace(self._kb.model.name, tuple(self._ticks))
 
     def initialise(self) -> None:
-        """Begin a tick: until its end, what this thread tells the knowledge base comes from the tree."""
+        """Begin a tick: what this thread tells the knowledge base until its end is the tree's."""
         if self._thread is not None:
             self.interrupt()
         self._clear()
@@ -247,7 +247,7 @@ class TraceVisitor(VisitorBase):
         return len(self._known)
 
     def _witness(self, event: Event) -> None:
-        """Note whether the tree told the event, and why actions became unfeasible with it, as it is explained now.
+        """Note whether the tree told the event, and why actions became unfeasible with it.
 
         What time causes while a tick is under way is not told by the tree: it is replayed in its
             place.
@@ -342,7 +342,7 @@ def read_trace(path: str | Path) -> Trace:
             problem = f"not a line of a trace ({type(error).__name__}: {error})"
             raise TraceError(f"{path}:{number}: {problem}") from None
         if version != _VERSION:
-            how = f"this program reads version {_VERSION}; `pytest --update-traces` writes a golden one anew"
+            how = f"this program reads version {_VERSION}; see `pytest --update-traces`"
             raise TraceError(f"{path} has version {version}; {how}")
     if model is None:
         raise TraceError(f"{path} is empty; a trace begins with a line that says what it is")
@@ -365,7 +365,7 @@ def _read_tick(line: dict[str, Any], before: Tick) -> Tick:
 
 
 def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Behaviour]) -> Trace:
-    """Tell a new knowledge base the events of a trace at their times, tick a new tree, and return its trace.
+    """Tell a new knowledge base the events of a trace, tick a new tree, and return its trace.
 
     The two traces are equal if model and tree are the same and every leaf decides by the knowledge
     base alone.
@@ -414,7 +414,7 @@ class _Clock:
 
 
 class _Replay(TraceVisitor):
-    """Tells the events that others than the tree told during a tick, at the same place within the tick."""
+    """Tells the events of others than the tree at the same place within a tick."""
 
     def __init__(self, kb: KnowledgeBase, clock: _Clock, *, keep: int) -> None:
         super().__init__(kb, keep=keep)
@@ -461,7 +461,7 @@ class _Replay(TraceVisitor):
         super().finalise()
 
     def _follow(self) -> None:
-        """Tell the events that are due, and set the clock to the time of the next event that the tree told."""
+        """Tell the events that are due, and set the clock to the next event of the tree."""
         log = self._kb.log
         while self._thread is not None and self._within:
             event, place = self._within[0]

@@ -132,7 +132,7 @@ class Lookahead:
         self._stated()
 
     def update(self) -> Decision:
-        """Decide if it is time to, put off what a detour interrupts, and return the last decision."""
+        """Decide if it is time to, and put off what a detour interrupts."""
         kb = self._kb
         revision, time = self._decided_at
         if self._begun is not None:
@@ -183,7 +183,7 @@ class Lookahead:
         return kb.now < until and kb.is_feasible(detour.action) and not is_done
 
     def _take_up(self) -> None:
-        """Let the actions that were put off be feasible again, unless somebody else has asserted something."""
+        """Let what was put off be feasible again, unless somebody else has asserted something."""
         assert self._begun is not None
         kb = self._kb
         for name in self._begun[2]:
@@ -192,7 +192,7 @@ class Lookahead:
         self._begun = None
 
     def _put_off(self, value: MissionValue, detour: Detour) -> None:
-        """Assert that the gaining actions are unfeasible, for at most twice the time that the detour should take."""
+        """Assert the gaining actions unfeasible, for at most twice the time of the detour."""
         kb = self._kb
         takes = detour.there(value.away) + detour.back(value.away)
         until = kb.now + 2 * takes + self._period
@@ -238,7 +238,7 @@ def _check(kb: KnowledgeBase, value: MissionValue) -> None:
 
 
 class _Level(NamedTuple):
-    """An attribute that a detour restores: how fast work and the detour change it by side, its limits."""
+    """An attribute that a detour restores: its slopes by side [1/s], and its limits."""
 
     work: tuple[float, ...]
     detour: tuple[float, ...]
@@ -327,7 +327,7 @@ class _Question:
         return Decision(self._gain.action, f"{self._gain.action} now: that {expected}{later}")
 
     def _pays(self) -> bool:
-        """Tell whether leaving now gains more than leaving when it has to, and at the worse end not less, but for noise."""
+        """Tell whether leaving now gains more than leaving late, also at the worse end."""
         noise = self._gain.spread * self._gain.rate * sum(self._takes(0, self._state.away))
         for side, more in ((0, noise), (-1, -noise)):
             course = self._leaving(side, self._state, 0.0, 1)
@@ -336,7 +336,7 @@ class _Question:
         return True
 
     def _late(self, side: int) -> float:
-        """Return the value of working as long as the levels allow, and leaving then, if that still gains anything."""
+        """Return the value of leaving when the levels no longer allow to work, or never."""
         work = self._lasting(side, self._state)
         course = self._leaving(side, self._state, work, 1, is_forced=True)
         never = self._rate(side) * work
@@ -362,7 +362,7 @@ class _Question:
         return max(0.0, state.away + self._gain.away * leave)
 
     def _arrives(self, state: _State, leave: float) -> bool:
-        """Tell whether enough of each level is left at the end of a detour, at the worse ends of everything."""
+        """Tell whether enough of each level is left at the end of a detour, at the worst."""
         longest, _ = self._takes(-1, self._away(state, leave))
         for level, value in zip(self._levels, state.levels, strict=True):
             if value + level.work[0] * leave + level.detour[0] * longest < level.keep:

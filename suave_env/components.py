@@ -75,7 +75,8 @@ class Mover(Component):
 
     def __init__(self, settings: Settings, autopilot: Autopilot) -> None:
         super().__init__()
-        self._settings, self._autopilot = settings, autopilot
+        self._settings = settings
+        self._autopilot = autopilot
 
     def tick(self, time: float) -> None:
         """Act if it may; called at each of its periods, with the time [s]."""
@@ -115,7 +116,9 @@ class SpiralSearch(Mover):
         self._offset = (0.0, 0.0)
         self._goal: Vector | None = None
         self._altitude: float | None = None
-        self._count, self._waits, self._correction = 0, 0, 0.0
+        self._count = 0
+        self._waits = 0
+        self._correction = 0.0
 
     def activated(self, time: float) -> None:
         if self._settings.spiral_restarts:
@@ -123,7 +126,9 @@ class SpiralSearch(Mover):
             self._begin((x, y))
 
     def _act(self, time: float) -> None:
-        settings, altitude, goal = self._settings, self.parameters["spiral_altitude"], self._goal
+        settings = self._settings
+        altitude = self.parameters["spiral_altitude"]
+        goal = self._goal
         if altitude != self._altitude:
             self._altitude = altitude
             self._count += 1
@@ -139,10 +144,8 @@ class SpiralSearch(Mover):
         if is_reached:
             step = settings.spiral_angle_step_rad
             width = 2 * altitude * math.tan(settings.half_view_angle_rad)
-            radius, angle = (
-                math.hypot(*self._offset) + width * step / (2 * math.pi),
-                step * self._count,
-            )
+            radius = math.hypot(*self._offset) + width * step / (2 * math.pi)
+            angle = step * self._count
             self._offset = (radius * math.cos(angle), radius * math.sin(angle))
             self._goal = self._send(altitude, time)
             self._count += 1
@@ -151,7 +154,8 @@ class SpiralSearch(Mover):
 
     def _send(self, altitude: float, time: float) -> Vector:
         """Send the current point, corrected in height; return it uncorrected."""
-        x, y = self._centre[0] + self._offset[0], self._centre[1] + self._offset[1]
+        x = self._centre[0] + self._offset[0]
+        y = self._centre[1] + self._offset[1]
         z = SEABED_Z_M + altitude
         self._autopilot.go_to((x, y, z + self._correction), time)
         self._waits = 0
@@ -173,7 +177,8 @@ class FollowPipeline(Mover):
 
     def __init__(self, settings: Settings, autopilot: Autopilot, outbox: Outbox) -> None:
         super().__init__(settings, autopilot)
-        self.distance_m, self.total_m = 0.0, 0.0
+        self.distance_m = 0.0
+        self.total_m = 0.0
         self._outbox = outbox
         self._path: deque[tuple[float, float]] | None = None
         self._is_under_way = False  # to the first point of the path
@@ -195,12 +200,15 @@ class FollowPipeline(Mover):
         self._is_under_way = False
 
     def _act(self, time: float) -> None:
-        settings, path, before = self._settings, self._path, self._last
+        settings = self._settings
+        path = self._path
+        before = self._last
         if path is None:
             return
         while path:
             if not self._is_under_way:
-                self._is_under_way, self._waits = True, 0
+                self._is_under_way = True
+                self._waits = 0
                 self._send(path[0], time)
             if not self._is_near(path[0], settings.follow_tolerance_m):
                 self._waits += 1
@@ -245,12 +253,10 @@ class RecoverThrusters(Component):
         outbox: Outbox,
     ) -> None:
         super().__init__()
-        self._settings, self._restored, self._agenda, self._outbox = (
-            settings,
-            restored,
-            agenda,
-            outbox,
-        )
+        self._settings = settings
+        self._restored = restored
+        self._agenda = agenda
+        self._outbox = outbox
         self._run = 0
 
     def activated(self, time: float) -> None:
@@ -314,7 +320,9 @@ class Components:
     ) -> None:
         self.history: list[Change] = []
         self._components = {component.name: component for component in components}
-        self._clock, self._hold, self._switched = clock, hold, switched
+        self._clock = clock
+        self._hold = hold
+        self._switched = switched
 
     @property
     def active(self) -> tuple[str, ...]:
@@ -335,7 +343,8 @@ class Components:
 
     def activate(self, name: str) -> None:
         """Make a component active; one that is active already stays as it is."""
-        component, time = self._component(name), self._clock()
+        component = self._component(name)
+        time = self._clock()
         if not component.active:
             component.active = True
             component.activated(time)
@@ -343,7 +352,8 @@ class Components:
 
     def deactivate(self, name: str) -> None:
         """Make a component inactive; one that is inactive already stays as it is."""
-        component, time = self._component(name), self._clock()
+        component = self._component(name)
+        time = self._clock()
         if component.active:
             component.active = False
             component.deactivated(time)
@@ -377,11 +387,8 @@ def _taken(component: Component, values: Mapping[str, object]) -> dict[str, floa
     for key, value in values.items():
         if key not in component.parameters:
             raise unknown_name(f"parameter of {component.name}", key, component.parameters)
-        taken[key] = (
-            float(value)
-            if isinstance(value, int | float) and not isinstance(value, bool)
-            else math.nan
-        )
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        taken[key] = float(value) if is_number else math.nan  # type: ignore[arg-type]  # a number
         if not 0 < taken[key] <= HIGHEST_ALTITUDE_M:
             allowed = f"a number above 0 and up to {HIGHEST_ALTITUDE_M:g} [m]"
             raise SuaveEnvError(

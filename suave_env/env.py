@@ -92,11 +92,14 @@ class SuaveEnv:
         self._disturbances: list[tuple[float, str]] = []
         self._violations, self._reactions = Violations(), Reactions(settings.spiral_altitude_m)
         self._agenda, self._outbox = Agenda(), Outbox(self._reactions.hear)
-        self._battery_level, self._recharges = 1.0, 0
+        self._battery_level = 1.0
+        self._recharges = 0
         self._water, self._thrusters = Water(settings), Thrusters(settings)
         self.pipeline = Pipeline(settings)
         self.station = (settings.station_x_m, settings.station_y_m)
-        self._vehicle = Vehicle(settings, x, y, settings.start_z_m + floated(settings) + late_m)
+        self._vehicle = Vehicle(
+            settings, x, y, settings.start_z_m + floated(settings, settings.boot_s) + late_m
+        )
         bias = settings.bias_m + settings.bias_sd_m * bias + late_m
         self._autopilot = Autopilot(settings, self._vehicle, self._thrusters, bias)
         self._spiral = SpiralSearch(settings, self._autopilot, (x, y))
@@ -112,7 +115,8 @@ class SuaveEnv:
 
     def _enter_timers(self, phases: list[float], recharge: Recharge) -> None:
         """Start the free-running timers, each at its phase, a share of its period."""
-        settings, agenda = self.settings, self._agenda
+        settings = self.settings
+        agenda = self._agenda
         timers = (
             (settings.spiral_period_s, self._spiral.tick),
             (settings.follow_period_s, self._follower.tick),
@@ -180,7 +184,8 @@ class SuaveEnv:
                 f"cannot advance to {until!r} s; allowed is a finite time from now, {self.now} s, on"
             )
         agenda = self._agenda
-        fly, outbox = self._autopilot.fly, self._outbox
+        fly = self._autopilot.fly
+        outbox = self._outbox
         while (due := agenda.next_time) <= until:
             fly(due)
             self.now = due
@@ -226,7 +231,8 @@ class SuaveEnv:
 
         After 150 steps of 1 s out of 200 s the level is 0.24999999999999933.
         """
-        settings, before = self.settings, self._battery_level
+        settings = self.settings
+        before = self._battery_level
         self._battery_level = max(
             0.0, before - settings.battery_period_s / settings.discharge_time_s
         )
@@ -302,7 +308,8 @@ class SuaveEnv:
 
     def _judge(self, time: float, corrected: bool) -> None:
         """Record which violations hold now, and whether those that have ended were corrected."""
-        note, spiral = self._violations.note, self._spiral
+        note = self._violations.note
+        spiral = self._spiral
         expected = expected_altitude(self._water.visibility(time))
         wrong = spiral.active and spiral.parameters["spiral_altitude"] != expected
         note(time, "visibility", wrong, corrected)

@@ -12,7 +12,6 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from suave_env.env import SuaveEnv
-from suave_env.monitors import Message
 from suave_env.settings import Settings
 from suave_env.vehicle import COUNT
 
@@ -60,12 +59,12 @@ class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
         settings: Mapping[str, float | int | bool | str] | None = None,
     ) -> None:
         self._settings = Settings().replace(**(settings or {}))
-        most = np.array(
-            [self._settings.visibility_max_m, *[1.0] * (len(OBSERVED) - 1)], dtype=np.float32
-        )
+        most = np.ones(len(OBSERVED), dtype=np.float32)
+        most[0] = self._settings.visibility_max_m
         self.observation_space = spaces.Box(np.zeros_like(most), most, dtype=np.float32)
         self.action_space = spaces.MultiDiscrete([2] * len(COMPONENTS) + [len(ALTITUDES_M)])
-        self._duration_s, self._step_s = duration_s, step_s
+        self._duration_s = duration_s
+        self._step_s = step_s
         self._env: SuaveEnv | None = None
 
     def reset(
@@ -74,43 +73,36 @@ class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
         """Begin an episode; the same seed gives the same one. There are no options."""
         super().reset(seed=seed)
         self._env = SuaveEnv(self._settings, self.np_random)
-        self._known, self._inspected_m, self._done = dict(OBSERVED), 0.0, False
-        return self._observation(), self._info(self._env)
+        self._values = dict(OBSERVED)
+        return self._seen(self._env)
 
     def step(
         self, action: NDArray[np.int64]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Switch the components as the action says, and simulate one step."""
-        if self._env is None:
+        env = self._env
+        if env is None:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
-        components, (*wanted, altitude) = self._env.components, [int(part) for part in action]
-        components.set_parameters("spiral_search", {"spiral_altitude": ALTITUDES_M[altitude]})
-        for name, is_wanted in zip(COMPONENTS, wanted, strict=True):
-            (components.activate if is_wanted else components.deactivate)(name)
-        self._hear(self._env.advance(min(self._env.now + self._step_s, self._duration_s)))
-        before, self._inspected_m = self._inspected_m, self._env.metrics.total_inspected_m
-        is_late = self._env.now >= self._duration_s
-        return (
-            self._observation(),
-            self._inspected_m - before,
-            self._done,
-            is_late,
-            self._info(self._env),
-        )
-
-    def _hear(self, messages: list[Message]) -> None:
-        for message in messages:
+        *switches, altitude = map(int, action)
+        altitude_m = ALTITUDES_M[altitude]
+        env.components.set_parameters("spiral_search", {"spiral_altitude": altitude_m})
+        for name, is_wanted in zip(COMPONENTS, switches, strict=True):
+            (env.components.activate if is_wanted else env.components.deactivate)(name)
+        before_m = env.metrics.total_inspected_m
+        is_done = False
+        for message in env.advance(min(env.now + self._step_s, self._duration_s)):
             for status in message["status"]:
                 for key, value in status["values"].items():
-                    if key in self._known:
-                        self._known[key] = _WORDS[value] if value in _WORDS else float(value)
-                    self._done = self._done or key == "pipeline_inspected"
+                    is_done |= key == "pipeline_inspected"
+                    if key in OBSERVED:
+                        self._values[key] = _WORDS[value] if value in _WORDS else float(value)
+        gained_m = env.metrics.total_inspected_m - before_m
+        values, info = self._seen(env)
+        return values, gained_m, is_done, env.now >= self._duration_s, info
 
-    def _observation(self) -> NDArray[np.float32]:
-        return np.array(list(self._known.values()), dtype=np.float32)
-
-    def _info(self, env: SuaveEnv) -> dict[str, Any]:
-        return {"time_s": env.now, "search_time_s": env.metrics.search_time_s}
+    def _seen(self, env: SuaveEnv) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        values = np.array([*self._values.values()], dtype=np.float32)
+        return values, {"time_s": env.now, "search_time_s": env.metrics.search_time_s}
 
 
 if "rosa/SUAVE-v0" not in gymnasium.registry:

@@ -42,9 +42,7 @@ class Message(TypedDict):
 class Outbox:
     """Collects messages until they are fetched; calls `hear` with time [s], key and value of each."""
 
-    def __init__(
-        self, hear: Callable[[float, str, str], None] = lambda time, key, value: None
-    ) -> None:
+    def __init__(self, hear: Callable[[float, str, str], None]) -> None:
         self._hear = hear
         self._messages: list[Message] = []
 
@@ -62,7 +60,8 @@ class Outbox:
 
     def fetch(self) -> list[Message]:
         """Return the messages since the last call, in order of time."""
-        messages, self._messages = self._messages, []
+        messages = self._messages
+        self._messages = []
         return messages
 
 
@@ -125,7 +124,9 @@ class Violations:
 
     def __init__(self) -> None:
         self._open: set[str] = set()
-        self._any_since, self._past_s, self._missed = 0.0, 0.0, 0
+        self._any_since = 0.0
+        self._past_s = 0.0
+        self._missed = 0
 
     def note(self, time: float, kind: str, holds: bool, corrected: bool) -> None:
         """Record whether a violation of a kind holds at a time [s]; `corrected` counts when it has just ended."""
@@ -195,7 +196,8 @@ class Reactions:
             if self._called_for != self._altitude and not self._is_low:
                 self._since.setdefault("U2", time)
         elif key == "battery_level":
-            was_low, self._is_low = self._is_low, float(value) < LOW_LEVEL
+            was_low = self._is_low
+            self._is_low = float(value) < LOW_LEVEL
             if self._is_low and not was_low:
                 self._since.setdefault("U3", time)
                 self._since.pop("U2", None)
@@ -224,8 +226,8 @@ class Reactions:
 def mean_reactions(reactions: Iterable[Reaction]) -> dict[str, float | None]:
     """Return the mean delay for each uncertainty [s], None if there was no reaction, named as in a report."""
     delays: dict[str, list[float]] = {"u1": [], "u2": [], "u3": []}
-    for one in reactions:
-        delays[one.uncertainty.lower()].append(one.delay_s)
+    for reaction in reactions:
+        delays[reaction.uncertainty.lower()].append(reaction.delay_s)
     return {
         f"reaction_{uncertainty}_s": fmean(found) if found else None
         for uncertainty, found in delays.items()

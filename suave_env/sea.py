@@ -40,7 +40,8 @@ class Water:
         if not abs(threshold - middle) < self._amplitude:
             return None
         angle = math.acos((threshold - middle) / self._amplitude)
-        falls, rises = self._next(angle, after), self._next(2 * math.pi - angle, after)
+        falls = self._next(angle, after)
+        rises = self._next(2 * math.pi - angle, after)
         return (falls, True) if falls < rises else (rises, False)
 
     def _next(self, angle: float, after: float) -> float:

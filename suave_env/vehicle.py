@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable
 from importlib.resources import files
 from math import atan2, cos, isfinite, sin
-from struct import Struct
 from typing import Any
 
 import numpy as np
@@ -33,9 +32,6 @@ _UNUSED = (
     "ISLAND",
     "AUTORESET",
 )  # the last: what is lost stays lost
-_WRITE_THRUSTS = Struct(
-    f"{COUNT}d"
-).pack_into  # a third of the time that a slice of the array takes
 _FLOAT_MASS_KG = 0.001  # of the body that carries the buoyancy, see assets/sea.xml
 _log = logging.getLogger(__name__)
 
@@ -88,18 +84,27 @@ class Thrusters:
         Returns:
             The six outputs [N]. Beyond the limit, the thrusts of a group are scaled together: the direction stays.
         """
-        forward, left, turn = forward / (4 * _COSINE), left / (4 * _COSINE), turn / (4 * _YAW_ARM_M)
-        one, two = -forward - left - turn, -forward + left + turn
-        three, four = forward - left + turn, forward + left - turn
-        five, six = roll / (2 * _ROLL_ARM_M) - up / 2, -roll / (2 * _ROLL_ARM_M) - up / 2
+        forward = forward / (4 * _COSINE)
+        left = left / (4 * _COSINE)
+        turn = turn / (4 * _YAW_ARM_M)
+        one = -forward - left - turn
+        two = -forward + left + turn
+        three = forward - left + turn
+        four = forward + left - turn
+        five = roll / (2 * _ROLL_ARM_M) - up / 2
+        six = -roll / (2 * _ROLL_ARM_M) - up / 2
         limit = self._limit
         level = max(abs(one), abs(two), abs(three), abs(four))
         if level > limit:
             scale = limit / level
-            one, two, three, four = one * scale, two * scale, three * scale, four * scale
+            one = one * scale
+            two = two * scale
+            three = three * scale
+            four = four * scale
         upright = max(abs(five), abs(six))
         if upright > limit:
-            five, six = five * limit / upright, six * limit / upright
+            five = five * limit / upright
+            six = six * limit / upright
         self.outputs = outputs = [one, two, three, four, five, six]
         if self._stuck:
             for number, frozen in self._stuck.items():
@@ -138,8 +143,10 @@ class Vehicle:
         self.data: Any = mujoco.MjData(self.model)
         self._substeps = round(settings.control_period_s / settings.physics_step_s)
         self._step = mujoco.mj_step
-        self._qpos, self._qvel = self.data.qpos, self.data.qvel
-        self._ctrl, self._flow = self.data.ctrl, self.data.ctrl[COUNT:]
+        self._qpos = self.data.qpos
+        self._qvel = self.data.qvel
+        self._ctrl = self.data.ctrl
+        self._flow = self.data.ctrl[COUNT:]
         self._body_velocity = self.data.actuator_velocity[COUNT:]
         self.state: tuple[Callable[[], list[float]], Callable[[], list[float]]] = (
             self._qpos.tolist,
@@ -162,13 +169,13 @@ class Vehicle:
 
     def push(self, thrusts: list[float]) -> None:
         """Advance by one control period under constant thrusts [N]; (6,)."""
-        _WRITE_THRUSTS(self._ctrl, 0, *thrusts)
+        self._ctrl[:COUNT] = thrusts
         np.abs(self._body_velocity, self._flow)
         self._step(self.model, self.data, self._substeps)
 
 
-def floated(settings: Settings, time_s: float | None = None) -> float:
-    """Return how far the vehicle, which is lighter than water, rises by itself in a time, by default the boot [m].
+def floated(settings: Settings, time_s: float) -> float:
+    """Return how far the vehicle, which is lighter than water, rises by itself in a time [m].
 
     It rises at the speed at which drag equals the surplus of buoyancy, which it reaches within a second.
     """
@@ -176,7 +183,7 @@ def floated(settings: Settings, time_s: float | None = None) -> float:
     if not settings.drag_heave:
         return 0.0
     speed = math.copysign(math.sqrt(abs(surplus) / settings.drag_heave), surplus)
-    return speed * (settings.boot_s if time_s is None else time_s)
+    return speed * time_s
 
 
 def _compiled(mujoco: Any, settings: Settings) -> Any:  # noqa: ANN401 - MuJoCo ships no types
@@ -186,7 +193,8 @@ def _compiled(mujoco: Any, settings: Settings) -> Any:  # noqa: ANN401 - MuJoCo 
     )
     spec.option.timestep = settings.physics_step_s
     spec.option.gravity = (0, 0, -settings.gravity_m_s2)
-    hull, buoyancy = spec.body("vehicle"), spec.body("buoyancy")
+    hull = spec.body("vehicle")
+    buoyancy = spec.body("buoyancy")
     hull.mass = settings.mass_kg - _FLOAT_MASS_KG
     hull.inertia = (
         settings.inertia_roll_kg_m2,
@@ -227,8 +235,6 @@ class SCurve:
         duration: Time of the whole move [s].
     """
 
-    __slots__ = ("_jerk", "_length", "_peak", "_plateau", "_ramp", "_rise", "duration")
-
     def __init__(self, length: float, speed: float, acceleration: float, jerk: float) -> None:
         ramp = min(math.cbrt(length / (2 * jerk)), math.sqrt(speed / jerk), acceleration / jerk)
         plateau = 0.0
@@ -236,7 +242,10 @@ class SCurve:
             # length = a (tj + ta) (2 tj + ta), solved for ta; and peak speed = a (tj + ta)
             by_length = (-3 * ramp + math.sqrt(ramp * ramp + 4 * length / acceleration)) / 2
             plateau = max(0.0, min(by_length, speed / acceleration - ramp))
-        self._jerk, self._length, self._ramp, self._plateau = jerk, length, ramp, plateau
+        self._jerk = jerk
+        self._length = length
+        self._ramp = ramp
+        self._plateau = plateau
         self._rise = 2 * ramp + plateau
         self._peak = jerk * ramp * (ramp + plateau)
         cruise = max(0.0, length / self._peak - self._rise) if self._peak > 0 else 0.0
@@ -244,7 +253,8 @@ class SCurve:
 
     def at(self, time: float) -> tuple[float, float]:
         """Return the distance [m] and the speed [m/s] of the move at a time since its start [s]."""
-        left, rise = self.duration - time, self._rise
+        left = self.duration - time
+        rise = self._rise
         if left <= 0:
             return self._length, 0.0
         if left < rise:
@@ -255,7 +265,8 @@ class SCurve:
         return self._peak * (time - self._rise / 2), self._peak
 
     def _speeding_up(self, time: float) -> tuple[float, float]:
-        ramp, jerk = self._ramp, self._jerk
+        ramp = self._ramp
+        jerk = self._jerk
         if time <= ramp:
             return jerk * time**3 / 6, jerk * time * time / 2
         top = jerk * ramp
@@ -288,10 +299,8 @@ class Guidance:
             settings.mass_kg / settings.velocity_lag_s,
             settings.mass_kg / settings.height_lag_s,
         )
-        self._integral_gain, self._integral_limit = (
-            settings.integral_gain,
-            settings.integral_limit_n,
-        )
+        self._integral_gain = settings.integral_gain
+        self._integral_limit = settings.integral_limit_n
         self._integral: Vector = (0.0, 0.0, 0.0)
         self.go_to(position, position, (0.0, 0.0, 0.0), 0.0)
 
@@ -300,7 +309,8 @@ class Guidance:
         origin = self.stopping_point(position, velocity)
         dx, dy, dz = (end - start for end, start in zip(target, origin, strict=True))
         length = math.sqrt(dx * dx + dy * dy + dz * dz)
-        self._origin, self._start = origin, time
+        self._origin = origin
+        self._start = time
         self._direction = (dx / length, dy / length, dz / length) if length > 0 else (0.0, 0.0, 0.0)
         speed, acceleration = self._limits()
         self._move = SCurve(length, speed, acceleration, self._settings.jerk_limit_m_s3)
@@ -325,9 +335,12 @@ class Guidance:
         wx = ex * speed + kx * (ox + ex * along - position[0]) - velocity[0]
         wy = ey * speed + ky * (oy + ey * along - position[1]) - velocity[1]
         wz = ez * speed + kz * (oz + ez * along - position[2]) - velocity[2]
-        gain, limit = self._integral_gain * duration, self._integral_limit
+        gain = self._integral_gain * duration
+        limit = self._integral_limit
         ix, iy, iz = self._integral
-        ix, iy, iz = ix + gain * wx, iy + gain * wy, iz + gain * wz
+        ix = ix + gain * wx
+        iy = iy + gain * wy
+        iz = iz + gain * wz
         if not (-limit <= ix <= limit and -limit <= iy <= limit and -limit <= iz <= limit):
             ix, iy, iz = (min(limit, max(-limit, part)) for part in (ix, iy, iz))
         self._integral = (ix, iy, iz)
@@ -337,19 +350,17 @@ class Guidance:
         """Return the limits on speed [m/s] and acceleration [m/s2] along the move's direction."""
         settings = self._settings
         ex, ey, ez = self._direction
-        level, upright = math.hypot(ex, ey), abs(ez)
+        level = math.hypot(ex, ey)
+        upright = abs(ez)
         vertical = settings.climb_limit_m_s if ez > 0 else settings.descent_limit_m_s
-        speed, acceleration = math.inf, math.inf
+        speed = math.inf
+        acceleration = math.inf
         if level > 0:
-            speed, acceleration = (
-                settings.speed_limit_m_s / level,
-                settings.acceleration_limit_m_s2 / level,
-            )
+            speed = settings.speed_limit_m_s / level
+            acceleration = settings.acceleration_limit_m_s2 / level
         if upright > 0:
             speed = min(speed, vertical / upright)
             acceleration = min(acceleration, settings.climb_acceleration_limit_m_s2 / upright)
-        if level == upright == 0:
-            return settings.speed_limit_m_s, settings.acceleration_limit_m_s2
         return speed, acceleration
 
 
@@ -363,8 +374,12 @@ class Autopilot:
             *(settings.heading_gain, settings.heading_damping, settings.roll_damping),
             *(settings.drag_surge, settings.drag_sway, settings.drag_heave),
         )
-        self._vehicle, self._thrusters, self._bias = vehicle, thrusters, bias
-        self._period, self._periods, self._until = settings.control_period_s, 0, 0.0
+        self._vehicle = vehicle
+        self._thrusters = thrusters
+        self._bias = bias
+        self._period = settings.control_period_s
+        self._periods = 0
+        self._until = 0.0
         self._guidance = Guidance(settings, vehicle.position)
 
     @property
@@ -383,7 +398,8 @@ class Autopilot:
 
     def hold(self, time: float) -> None:
         """Stop as soon as possible, from now [s] on."""
-        position, velocity = self.position, self._vehicle.velocity
+        position = self.position
+        velocity = self._vehicle.velocity
         self._guidance.go_to(
             self._guidance.stopping_point(position, velocity), position, velocity, time
         )
@@ -396,12 +412,15 @@ class Autopilot:
             self._periods = last
 
     def _fly_periods(self, last: int) -> None:
-        period, guide, push = self._period, self._guidance.force, self._vehicle.push
+        period = self._period
+        guide = self._guidance.force
+        push = self._vehicle.push
         allocate = self._thrusters.allocate
         pose_of, motion_of = self._vehicle.state
         heading_gain, heading_damping, roll_damping, surge_drag, sway_drag, heave_drag = self._gains
         for count in range(self._periods, last):
-            pose, motion = pose_of(), motion_of()
+            pose = pose_of()
+            motion = motion_of()
             x, _, _, qw, qx, qy, qz = pose
             vx, vy, vz, roll_rate, _, yaw_rate = motion
             if not isfinite(x + vx):
@@ -411,8 +430,10 @@ class Autopilot:
                 )
             east, north, up = guide(pose, motion, (count + 0.5) * period, period)
             yaw = atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
-            cosine, sine = cos(yaw), sin(yaw)
-            surge, sway = cosine * vx + sine * vy, cosine * vy - sine * vx
+            cosine = cos(yaw)
+            sine = sin(yaw)
+            surge = cosine * vx + sine * vy
+            sway = cosine * vy - sine * vx
             push(
                 allocate(
                     cosine * east + sine * north + surge_drag * abs(surge) * surge,

@@ -1,4 +1,4 @@
-"""The building as a graph of places and corridors, and what the ground vehicle in it is made of and can do.
+"""The building as a graph of places and corridors, and the ground vehicle in it.
 
 The vehicle has three ways to localise itself, three sensors, a lamp, and a base with three speeds.
 """
@@ -61,30 +61,24 @@ class Building:
     def __post_init__(self) -> None:
         for name in (*self.places, *self.corridors):
             if not _NAME.fullmatch(name):
-                raise MissionError(
-                    f"{name!r} in map {self.name} is not a name: a letter, then letters, digits or '_'"
-                )
-        for place, point in self.places.items():
-            for axis, value in zip("xy", point, strict=True):
-                checked(f"{axis} of place {place}", value, -_MOST)
-        object.__setattr__(
-            self,
-            "corridors",
-            {name: self._judged(name, one) for name, one in self.corridors.items()},
-        )
+                form = "a letter, then letters, digits or '_'"
+                raise MissionError(f"{name!r} in map {self.name} is not a name: {form}")
+        corridors = {name: self._completed(name, part) for name, part in self.corridors.items()}
+        object.__setattr__(self, "corridors", corridors)
         self.check("place", self.start, "start")
         self.check("place", self.goal, "goal")
         ways = [
-            (*ends, 1) for one in self.corridors.values() for ends in (one.ends, one.ends[::-1])
+            (*ends, 1)
+            for corridor in self.corridors.values()
+            for ends in (corridor.ends, corridor.ends[::-1])
         ]
         reached = distances(ways, [self.start])
-        if lost := [place for place in self.places if place not in reached]:
-            problem = (
-                f"map {self.name} is disconnected: no way from {self.start} to {', '.join(lost)}"
-            )
-            raise MissionError(f"{problem}; add a corridor")
+        lost = ", ".join(place for place in self.places if place not in reached)
+        if lost:
+            problem = f"no way from {self.start} to {lost}; add a corridor"
+            raise MissionError(f"map {self.name} is disconnected: {problem}")
 
-    def _judged(self, name: str, corridor: Corridor) -> Corridor:
+    def _completed(self, name: str, corridor: Corridor) -> Corridor:
         """Return a corridor with its name and length."""
         for end in corridor.ends:
             self.check("place", end, f"corridor {name}")
@@ -103,15 +97,19 @@ class Building:
         """The corridors at each place, in order of declaration."""
         corridors = self.corridors.values()
         return {
-            place: tuple(one for one in corridors if place in one.ends) for place in self.places
+            place: tuple(corridor for corridor in corridors if place in corridor.ends)
+            for place in self.places
         }
 
     def check(self, kind: str, name: str, who: str) -> None:
-        """Raise MissionError unless there is a "place" or "corridor" (`kind`) of that name; `who` names it."""
-        known = list(self.places if kind == "place" else self.corridors)
-        if name not in known:
+        """Raise MissionError unless there is a "place" or "corridor" (`kind`) of that name.
+
+        `who` names it.
+        """
+        names = list(self.places if kind == "place" else self.corridors)
+        if name not in names:
             lacks = f"{who} names the {kind} {name!r}, which map {self.name} lacks"
-            raise MissionError(f"{lacks}; near: {', '.join(near(name, known) or known[:8])}")
+            raise MissionError(f"{lacks}; near: {', '.join(near(name, names) or names[:8])}")
 
 
 def checked(what: str, value: object, least: float = 0.0, most: float = _MOST) -> float:
@@ -133,7 +131,8 @@ PAPER: Final = Building(
     start="a",
     goal="b",
 )
-"""The map of the ROSA paper, from a to b: straight on through the obstructed corridor c1, or round by c4, c3 and c2.
+"""The map of the ROSA paper, from a to b: straight on through the obstructed corridor c1, or round
+by c4, c3 and c2.
 
 The corridors and their obstacles are the paper's; lengths and light are our own choice.
 """
@@ -169,7 +168,8 @@ ERROR_M: Final = {
     ("mrpt", "kinect"): 0.08,
     ("mrpt", "lidar"): 0.09,
 }
-"""Error of the position by algorithm and sensor [m]; the pairs are the paper's, the figures our own choice."""
+"""Error of the position by algorithm and sensor [m]; the pairs are the paper's, the figures our own
+choice."""
 
 _DESIGNS: Final = (  # name, components, collisions expected for each obstacle passed; own choice
     ("aruco_camera", ("aruco", "camera"), 0.05),
@@ -180,21 +180,27 @@ _DESIGNS: Final = (  # name, components, collisions expected for each obstacle p
     ("mrpt_lidar", ("mrpt", "lidar"), 0.025),
 )
 OBSTRUCTED_PER_M: Final = 0.1
-"""Obstacles per metre beyond which only AMCL with the Kinect is accurate enough; the paper says that only it is."""
+"""Obstacles per metre beyond which only AMCL with the Kinect is accurate enough; the paper says
+that only it is."""
 
 NEEDED_LIGHT: Final = 0.3
 """Light, 0 to 1, that the camera needs without the lamp; own choice."""
 
 
 def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
-    """Build the model: 18 entities and 36 relations by the ROSA paper's counting; every call gives a new one.
+    """Build the model: 18 entities and 36 relations by the ROSA paper's counting.
 
-    Estimations: `energy` is the power drawn [J/s], `safety` the expected collisions for each obstacle that is passed,
-    `accuracy` the error of the position [m]. Measured are `light` [0 to 1] and `obstacles` [1/m] of the corridor to
-    cross, and the `energy` that is left [J]. Each of the actions requires the function to navigate.
+    Every call gives a new one.
+
+    Estimations: `energy` is the power drawn [J/s], `safety` the expected collisions for each
+        obstacle that is passed,
+    `accuracy` the error of the position [m]. Measured are `light` [0 to 1] and `obstacles` [1/m] of
+    the corridor to cross, and the `energy` that is left [J]. Each of the actions requires the
+    function to navigate.
     """
     model = Model(name)
-    energy, safety = model.quality_attribute("energy", unit="J"), model.quality_attribute("safety")
+    energy = model.quality_attribute("energy", unit="J")
+    safety = model.quality_attribute("safety")
     accuracy = model.quality_attribute("accuracy", unit="m", low=0.0)
     light = model.environmental_attribute("light", low=0.0, high=1.0)
     obstacles = model.environmental_attribute("obstacles", unit="1/m", low=0.0)
@@ -210,11 +216,11 @@ def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
     navigate = model.function(NAVIGATE)
     for priority, (design_name, components, mishaps) in enumerate(_DESIGNS, start=1):
         design = navigate.design(design_name, [*components, base], priority=priority)
-        design.estimate(energy, sum(DRAW_W[one] for one in components), "negative")
+        design.estimate(energy, sum(DRAW_W[component] for component in components), "negative")
         design.estimate(safety, mishaps, "negative")
         design.estimate(accuracy, ERROR_M[components[0], components[1]], "absolute")
     imprecise = [design for design, *_ in _DESIGNS if design != "amcl_kinect"]
-    model.constrain([model.designs[one] for one in imprecise], obstacles <= OBSTRUCTED_PER_M)
+    model.constrain([model.designs[name] for name in imprecise], obstacles <= OBSTRUCTED_PER_M)
     model.designs["aruco_camera"].constrain(light >= NEEDED_LIGHT)
     for action in actions:
         model.action(action, requires=[navigate])
@@ -222,12 +228,14 @@ def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
 
 
 def building_model(building: Building) -> Model:
-    """Build the model of the vehicle in a building: each corridor is an action, and each heading a configuration.
+    """Build the model of the vehicle in a building: corridors are actions, headings configurations.
 
     To `switch`, which changes the configuration before it drives on, is an action too.
 
-    The demands of the corridors are not in the model: they are measured. `driven` is how far the robot is from where
-    it entered the corridor [m], and `way` the number of the heading to take, from 1, in the order of `headings`.
+    The demands of the corridors are not in the model: they are measured. `driven` is how far the
+        robot is from where
+    it entered the corridor [m], and `way` the number of the heading to take, from 1, in the order
+    of `headings`.
     """
     model = agv_model("agv", actions=())
     driven = model.environmental_attribute("driven", unit="m")

@@ -1,12 +1,13 @@
-"""The task layer of the mission: the behaviour tree follows the joint plan, and replans when its facts change.
+"""The task layer: the behaviour tree follows the joint plan, and replans when facts change.
 
 until arrived
 └── follow route             one child for each corridor; the one that is planned next is ticked
     ├── cross c1 if feasible
     └── ...
 
-The question of the joint planner is also written as PDDL, for planners that know nothing of corridors. There, switching
-the mode and crossing are steps of their own; both cost the same as in the joint planner, in whole thousandths.
+The question of the joint planner is also written as PDDL, for planners that know nothing of
+corridors. There, switching the mode and crossing are steps of their own; both cost the same as in
+the joint planner, in whole thousandths.
 """
 
 import re
@@ -38,11 +39,15 @@ from rosa_bt.decorators import UntilSuccess
 from rosa_pddl import Outcome, PlanRecord, Step
 
 RESERVE: Final = 0.1
-"""Share of the energy that plans do not use, because driving round obstacles takes more; own choice."""
+"""Share of the energy that plans do not use, because driving round obstacles takes more; own
+choice."""
 
 
 class Route:
-    """Knows where the robot is, what has failed and where the light has changed; replans when one of these changes."""
+    """Knows where the robot is, what has failed and where the light has changed.
+
+    Replans when one of these changes.
+    """
 
     def __init__(
         self,
@@ -51,8 +56,10 @@ class Route:
         percepts: Percepts,
         weights: Mapping[str, float],
     ) -> None:
-        self.building, self.kb = building, kb
-        self._percepts, self._weights = percepts, weights
+        self.building = building
+        self.kb = kb
+        self._percepts = percepts
+        self._weights = weights
         self._planner = JointPlanner(building, kb)
         self._believed: tuple[object, ...] = ()
         self._answer: Answer | None = None
@@ -105,16 +112,19 @@ class Route:
         """The corridor that the robot is in; empty at a place."""
         return next(
             (
-                one.name
-                for one in self.building.exits[self.at]
-                if self._percepts.holds(f"in {one.name}")
+                corridor.name
+                for corridor in self.building.exits[self.at]
+                if self._percepts.holds(f"in {corridor.name}")
             ),
             "",
         )
 
     @property
     def standing(self) -> Mapping[str, float]:
-        """The demands where the robot stands: no obstacles, and the light of the corridor; places are fully lit."""
+        """The demands where the robot stands: no obstacles, and the light of the corridor.
+
+        Places are fully lit.
+        """
         corridor = self.building.corridors.get(self.inside)
         light = 1.0 if corridor is None else self._light.get(corridor.name, corridor.light)
         return {"obstacles": 0.0, "light": light}
@@ -139,12 +149,16 @@ class Route:
 
 
 class Cross(RosaAction):
-    """Cross a corridor in the configuration that is planned for it; `choose` returns the leg that is planned now."""
+    """Cross a corridor in the configuration that is planned for it.
+
+    `choose` returns the leg that is planned now.
+    """
 
     def __init__(self, route: Route, corridor: str, choose: Callable[[], Leg | None]) -> None:
         super().__init__(f"cross {corridor}", route.kb, f"cross_{corridor}")
         self.corridor = corridor
-        self._route, self._choose = route, choose
+        self._route = route
+        self._choose = choose
         self._leg: Leg | None = None
 
     @property
@@ -152,20 +166,28 @@ class Cross(RosaAction):
         return self._leg is not None and self._route.at == self._leg.to and not self._route.inside
 
     def initialise(self) -> None:
-        """Tell the knowledge base what the corridor demands, and select the planned configuration."""
+        """Measure what the corridor demands, and select the planned configuration."""
         self._leg = leg = self._choose()
         if leg is not None:
             way = headings(self._route.building).index((leg.corridor, leg.origin)) + 1.0
             self._route.measure({**leg.conditions, "way": way})
             asked = next(
-                (one.number for one in self.kb.required_actions if one.action == self.action), None
+                (
+                    action.number
+                    for action in self.kb.required_actions
+                    if action.action == self.action
+                ),
+                None,
             )
             self._select(
                 leg, asked
             )  # the action itself is the cause, not the measurements just made
 
     def update(self) -> Status:
-        """Check whether the other end is reached; take over a new plan for the same corridor and direction."""
+        """Check whether the other end is reached.
+
+        Take over a new plan for the same corridor and direction.
+        """
         leg = self._leg
         if leg is None:
             self.feedback_message = f"{self.corridor} does not lead from {self._route.at}"
@@ -175,7 +197,8 @@ class Cross(RosaAction):
         anew = self._choose()
         if anew is not None and anew.to == leg.to:
             self._leg = leg = anew
-        choice, kb = _choice(leg), self.kb
+        choice = _choice(leg)
+        kb = self.kb
         selected = [kb.designs[name].is_selected for name in choice.designs.values()]
         if not all(
             [
@@ -192,23 +215,23 @@ class Cross(RosaAction):
 
     def _select(self, leg: Leg, cause: int | None = None) -> None:
         if self.kb.pending_plan is None:  # else both would be abandoned together
-            choice, why = (
-                _choice(leg),
-                f"{leg.mode.name} is the best to cross {leg.corridor}, {leg.why}",
-            )
+            choice = _choice(leg)
+            why = f"{leg.mode.name} is the best to cross {leg.corridor}, {leg.why}"
             self.kb.select(choice.designs, choice.configurations, why, cause=cause)
 
 
 def _choice(leg: Leg) -> Choice:
-    mode, navigator = leg.mode.choice, {NAVIGATOR: heading(leg.corridor, leg.origin)}
+    mode = leg.mode.choice
+    navigator = {NAVIGATOR: heading(leg.corridor, leg.origin)}
     return Choice({**mode.designs, FOLLOW: "by_navigator"}, {**mode.configurations, **navigator})
 
 
 class FollowRoute(Composite):
-    """Ticks the child for the corridor that is planned next, after it has stopped any other child that runs.
+    """Ticks the child for the corridor that is planned next; stops any other that runs.
 
-    SUCCESS at the goal; FAILURE when a corridor is crossed, and while there is no plan, with the reason as feedback.
-    `plans` holds the last joint plans, without those that are only the rest of the one before.
+    SUCCESS at the goal; FAILURE when a corridor is crossed, and while there is no plan, with the
+    reason as feedback. `plans` holds the last joint plans, without those that are only the rest of
+    the one before.
     """
 
     def __init__(self, route: Route) -> None:
@@ -216,13 +239,16 @@ class FollowRoute(Composite):
         self._crossings = {
             name: Cross(route, name, lambda: route.leg) for name in route.building.corridors
         }
-        self._by_corridor = {name: feasible_then_act(one) for name, one in self._crossings.items()}
+        self._by_corridor = {
+            name: feasible_then_act(crossing) for name, crossing in self._crossings.items()
+        }
         self.plans: tuple[PlanRecord, ...] = ()
         self._planned: Answer | None = None
         super().__init__("follow route", list(self._by_corridor.values()))
 
     def tick(self) -> Iterator[Behaviour]:
-        route, is_there = self._route, self._route.is_there
+        route = self._route
+        is_there = self._route.is_there
         self._note(route.answer)
         planned = None if is_there or route.leg is None else self._by_corridor[route.leg.corridor]
         for name, child in self._by_corridor.items():
@@ -231,7 +257,8 @@ class FollowRoute(Composite):
                     yield from child.tick()
                 else:
                     self._give_up(name)
-        self.current_child, self.feedback_message = planned, "" if is_there else route.answer.reason
+        self.current_child = planned
+        self.feedback_message = "" if is_there else route.answer.reason
         if planned is not None:
             yield from planned.tick()
         if planned is not None and planned.status is Status.RUNNING:
@@ -242,7 +269,8 @@ class FollowRoute(Composite):
 
     def _note(self, answer: Answer) -> None:
         """Record a plan, unless it is the rest of the one before."""
-        before, self._planned = self._planned, answer
+        before = self._planned
+        self._planned = answer
         if answer is before or (before is not None and _is_rest(answer, before)):
             return
         first = f"; {answer.legs[0]}" if answer.legs else ""
@@ -255,14 +283,18 @@ class FollowRoute(Composite):
             for leg in answer.legs
         ]
         outcome = Outcome.SOLVED_OPTIMALLY if answer.is_solved else Outcome.UNSOLVABLE_PROVEN
-        made = PlanRecord(
+        plan = PlanRecord(
             self._route.kb.now, answer.reason + first, outcome, tuple(steps), "joint plan"
         )
-        self.plans = made.added_to(self.plans)
+        self.plans = plan.added_to(self.plans)
 
     def _give_up(self, corridor: str) -> None:
-        """Stop a crossing, and say why; the reason is asked for first, because the end resets the demands."""
-        crossing, kb = self._crossings[corridor], self._route.kb
+        """Stop a crossing, and say why.
+
+        The reason is asked for first, because the end resets the demands.
+        """
+        crossing = self._crossings[corridor]
+        kb = self._route.kb
         feasible = kb.is_feasible(crossing.action)
         why = self._route.answer.reason if feasible else kb.why(kb.actions[crossing.action])
         kb.cancel_action(crossing.action, "abandoned", why)
@@ -271,7 +303,7 @@ class FollowRoute(Composite):
 
 def _is_rest(answer: Answer, before: Answer) -> bool:
     ways, others = (
-        [(leg.corridor, leg.to, leg.mode.name) for leg in one.legs] for one in (answer, before)
+        [(leg.corridor, leg.to, leg.mode.name) for leg in plan.legs] for plan in (answer, before)
     )
     return answer.is_solved is before.is_solved and ways == others[len(others) - len(ways) :]
 
@@ -311,10 +343,11 @@ class Via(NamedTuple):
 
 
 class PddlNames:
-    """The PDDL names of places, ways and modes, all different as PDDL needs them, and the facts about them.
+    """The PDDL names of places, ways and modes, all different, and the facts about them.
 
-    `modes` are all modes there can be; `limited` names the resources with a limit. The place with the empty name is
-    where the robot is within a corridor, and `now` is its configuration if that is none of the modes.
+    `modes` are all modes there can be; `limited` names the resources with a limit. The place with
+    the empty name is where the robot is within a corridor, and `now` is its configuration if that
+    is none of the modes.
     """
 
     def __init__(self, building: Building, modes: Iterable[Mode], limited: Iterable[str]) -> None:
@@ -330,17 +363,17 @@ class PddlNames:
             self._distinct(re.sub(r"\W", "_", mode.name.lower())): mode for mode in modes
         }
         self.modes = {mode.name: word for word, mode in self.by_mode.items()}
-        ends = [(one, to) for one in corridors for to in one.ends]
+        ends = [(corridor, to) for corridor in corridors for to in corridor.ends]
         vias = [
-            *(Via(one.name, one.other(to), to) for one, to in ends),
-            *(Via(one.name, "", to) for one, to in ends),
+            *(Via(corridor.name, corridor.other(to), to) for corridor, to in ends),
+            *(Via(corridor.name, "", to) for corridor, to in ends),
         ]
         self.vias = {
             via: self._distinct(f"{via.corridor}_{self.places[via.origin]}_{via.to}")
             for via in vias
         }
-        # The way to where the robot is within a corridor. No plan uses it, but planners that work out which facts are
-        # reachable would conclude without it that the robot is never there.
+        # The way to where the robot is within a corridor. No plan uses it, but planners that work
+        # out which facts are reachable would conclude without it that the robot is never there.
         self.vias[Via(vias[0].corridor, vias[0].to, "")] = self._distinct("entering")
         self.by_way = {word: via for via, word in self.vias.items()}
 
@@ -365,17 +398,18 @@ class PddlNames:
             (:metric minimize (total-cost)))"""
 
     def facts(self, task: Task) -> dict[str, bool | float]:
-        """Return the facts that may change: where the robot is, its configuration, what is possible, and the costs.
+        """Return the facts that may change: place, configuration, what is possible, costs.
 
-        Costs are whole thousandths, uses are whole amounts (see `Amounts`); it also says what is left of the limited.
+        Costs are whole thousandths, uses are whole amounts (see `Amounts`); it also says what is
+        left of the limited.
         """
         place, now = task.start
         at = self.places["" if place.corridor else place.name]
         configured = next(
-            (word for word, one in self.by_mode.items() if one.setup == now.setup), self.now
+            (word for word, mode in self.by_mode.items() if mode.setup == now.setup), self.now
         )
         facts: dict[str, bool | float] = {
-            **{f"(at {one})": one == at for one in self.places.values()},
+            **{f"(at {place})": place == at for place in self.places.values()},
             **{f"(configured {mode})": mode == configured for mode in (*self.by_mode, self.now)},
             **{f"(possible {way} {mode})": False for way in self.by_way for mode in self.by_mode},
         }
@@ -385,9 +419,10 @@ class PddlNames:
                 f"(possible {things})": True,
                 **self._numbers("crossing", things, leg.takes, cost),
             }
-        for before, one in {**self.by_mode, self.now: now}.items():
-            for mode, other in self.by_mode.items():
-                facts |= self._numbers("switching", f"{before} {mode}", *task.switching(one, other))
+        for before, mode in {**self.by_mode, self.now: now}.items():
+            for after, other in self.by_mode.items():
+                costs = task.switching(mode, other)
+                facts |= self._numbers("switching", f"{before} {after}", *costs)
         left = dict(zip(task.limited, task.limits, strict=True))
         for name in self.limited:  # each question counts from what is left now
             facts |= {f"({used(name)})": 0.0, f"({left_of(name)})": left.get(name, _PLENTY)}
@@ -420,7 +455,8 @@ class Switch(RosaAction):
 
     def __init__(self, route: Route, mode: Mode) -> None:
         super().__init__(f"switch to {mode.name}", route.kb, SWITCH)
-        self._route, self._mode = route, mode
+        self._route = route
+        self._mode = mode
         self._plan: ReconfigurationPlan | None = None
 
     def initialise(self) -> None:
@@ -436,7 +472,8 @@ class Switch(RosaAction):
             return Status.FAILURE
         if Modes(self.kb, NAVIGATE).running.setup == self._mode.setup:
             return Status.SUCCESS
-        choice, why = self._mode.choice, f"{self._mode.name} is planned for what comes next"
+        choice = self._mode.choice
+        why = f"{self._mode.name} is planned for what comes next"
         self._plan = self.kb.select(choice.designs, choice.configurations, why)
         return Status.RUNNING
 
@@ -445,21 +482,29 @@ class PlanningState:
     """What the plan executor knows: the names and the facts of the PDDL problem."""
 
     def __init__(self, route: Route, pddl: PddlNames) -> None:
-        self.route, self.pddl = route, pddl
+        self.route = route
+        self.pddl = pddl
         self._revision: tuple[object, ...] = ()
         self._facts: Mapping[str, bool | float] = {}
 
     @property
     def facts(self) -> Mapping[str, bool | float]:
-        """What holds now and what it costs; updated with `Route.revision`, not with every metre and joule."""
+        """What holds now and what it costs.
+
+        Updated with `Route.revision`, not with every metre and joule.
+        """
         if self._revision != self.route.revision:
             self._revision, self._facts = self.route.revision, self.pddl.facts(self.route.task)
         return self._facts
 
     def cross(self, step: Step) -> Cross:
-        """Return the behaviour of a step that drives a way in a mode; it fails if that is not possible from here."""
+        """Return the behaviour of a step that drives a way in a mode.
+
+        It fails if that is not possible from here.
+        """
         _, way, _, _, mode = step.arguments
-        via, task = self.pddl.by_way[way], self.route.task
+        via = self.pddl.by_way[way]
+        task = self.route.task
         legs = [
             replace(leg, why="planned together with all that comes after it")
             for leg, _ in task.crossings(task.start[0])

@@ -1,10 +1,9 @@
-"""The vehicle in its building, simulated by MuJoCo, and its steering: along a line, past whatever it sees."""
+"""The vehicle in its building, simulated by MuJoCo, and its steering past what it sees."""
 
 import math
 from collections import deque
 from collections.abc import Iterator
 from importlib.resources import files
-from itertools import combinations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -12,13 +11,13 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from missions.agv.model import Building, Corridor
-from missions.engine.mission import MissionError
 
 Array = NDArray[np.float64]
 Pose = tuple[float, float, float]  # x, y [m] and yaw [rad]
 
 RADIUS_M: Final = 0.2
-"""Radius of the vehicle [m]; like all sizes here own choice, of the order of a small research robot."""
+"""Radius of the vehicle [m]; like all sizes here own choice, of the order of a small research
+robot."""
 WHEEL_M: Final = 0.07
 HALF_TRACK_M: Final = 0.17
 _HALF_WIDTH_M: Final = 1.2  # of a corridor
@@ -50,25 +49,8 @@ def scene_xml(building: Building, placed: list[Pose], pose: Pose, step_s: float)
     return scene.format(walls=walls, blocks=blocks, x=x, y=y, yaw=yaw, step_s=step_s, **sizes)
 
 
-def check_walls(building: Building) -> None:
-    """Raise MissionError if two corridors cross: each would be closed by the walls of the other."""
-    lines = [
-        (one, [complex(*building.places[end]) for end in one.ends])
-        for one in building.corridors.values()
-    ]
-    for (one, (a, b)), (two, (c, d)) in combinations(lines, 2):
-        if _side(a, b, c) * _side(a, b, d) < 0 and _side(c, d, a) * _side(c, d, b) < 0:
-            problem = f"corridors {one.name} and {two.name} cross one another: the walls of each close the other"
-            raise MissionError(f"{problem}; let them meet at a place, or move one of their places")
-
-
-def _side(a: complex, b: complex, point: complex) -> float:
-    """Return the side of the line from a to b on which a point lies: above 0 left, below 0 right."""
-    return ((b - a).conjugate() * (point - a)).imag
-
-
 def boxes(building: Building, rng: Generator) -> list[Pose]:
-    """Put boxes into the corridors, as many per metre as the map says, but no more than it can drive round."""
+    """Put boxes into the corridors: as the map says, but no more than it can drive round."""
     placed = []
     for corridor in building.corridors.values():
         (x, y), ux, uy, length_m = _line(building, corridor)
@@ -151,12 +133,15 @@ def steer(bearing: float, hits: Array, speed: float) -> Aim:
     ahead = hits[(hits[:, 0] > 0.0) & (np.abs(hits[:, 1]) < _ROOMS_M[0]), 0]
     room_m = float(ahead.min(initial=math.inf))
     speed *= min(max((room_m - _STOP_M) / _SLOW_M, 0.0), 1.0)
-    headings, rooms = bearing + _OFFSETS, list[float]()
-    x, y = hits[:, 0], hits[:, 1]
+    headings = bearing + _OFFSETS
+    rooms = list[float]()
+    x = hits[:, 0]
+    y = hits[:, 1]
     for heading, cos, sin in zip(
         headings.tolist(), np.cos(headings), np.sin(headings), strict=True
     ):
-        along, aside = cos * x + sin * y, np.abs(cos * y - sin * x)
+        along = cos * x + sin * y
+        aside = np.abs(cos * y - sin * x)
         rooms.append(float(aside[(along > 0.0) & (along < _CLEAR_M)].min(initial=math.inf)))
         if rooms[-1] >= _ROOMS_M[0]:  # mostly the first heading is free
             return _turned_to(heading, speed)
@@ -177,7 +162,8 @@ SENSORS: Final = {
     "kinect": (math.radians(28.5), 4.0),
     "camera": (0.5, 2.0),
 }
-"""Half of the angle of view [rad] and the range [m] of each sensor; Kinect: its data sheet, else own choice."""
+"""Half of the angle of view [rad] and the range [m] of each sensor; Kinect: its data sheet, else
+own choice."""
 _RAY_STEP: Final = math.radians(4)
 _RAYS: Final = {
     name: (np.linspace(-half, half, 2 * int(half / _RAY_STEP) + 1), reach_m)
@@ -228,22 +214,28 @@ class Vehicle:
         self._touched = touches
 
     def look(self, sensor: str) -> Array:
-        """Cast the rays of a sensor; return what it sees or has seen lately near by, (n, 2) [m], vehicle's frame."""
+        """Cast the rays of a sensor.
+
+        Return what it sees or has seen lately near by, (n, 2) [m], vehicle's frame.
+        """
         yaw, here, (offsets, reach_m) = self.yaw, self.position, _RAYS[sensor]
-        angles, count = yaw + offsets, len(offsets)
+        angles = yaw + offsets
+        count = len(offsets)
         rays = np.zeros((count, 3))
         rays[:, 0], rays[:, 1] = np.cos(angles), np.sin(angles)
         origin = np.array([*here.tolist(), 0.2])
-        hit, far = np.zeros(count, dtype=np.int32), np.zeros(count)
+        hit = np.zeros(count, dtype=np.int32)
+        far = np.zeros(count)
         past = self._groups, True, self._body
         self._mujoco.mj_multiRay(
             self._model, self._data, origin, rays.ravel(), *past, hit, far, None, count, reach_m
         )
-        found = (hit >= 0) & (far > 0.0)
-        self._seen.append(origin[:2] + rays[found, :2] * far[found, None])
+        is_hit = (hit >= 0) & (far > 0.0)
+        self._seen.append(origin[:2] + rays[is_hit, :2] * far[is_hit, None])
         apart = np.concatenate(self._seen) - here
         near = apart[np.hypot(apart[:, 0], apart[:, 1]) < 2.0]
-        cos, sin = math.cos(yaw), math.sin(yaw)
+        cos = math.cos(yaw)
+        sin = math.sin(yaw)
         local: Array = near @ np.array([[cos, -sin], [sin, cos]])
         return local
 
@@ -259,5 +251,6 @@ class Vehicle:
 
     def _touches(self) -> bool:
         contacts = self._data.contact
-        pairs, group = contacts.geom[: self._data.ncon].tolist(), self._group_of
-        return any((group[one], group[other]) in _TOUCHING for one, other in pairs)
+        pairs = contacts.geom[: self._data.ncon].tolist()
+        group = self._group_of
+        return any((group[first], group[second]) in _TOUCHING for first, second in pairs)

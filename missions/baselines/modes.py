@@ -1,8 +1,9 @@
-"""SUAVE's own managers, which switch components by modes of functions in the manner of ROS 2 System Modes.
+"""SUAVE's own managers, which switch components as ROS 2 System Modes does.
 
-`none` and `random` only request modes. `metacontrol` reasons every 1.5 s about an ontology of functions, their designs
-and objectives, by the rules of TOMASys, here pure functions, and requests modes. `bt` is the behaviour tree of
-kas-lab/suave v1.3.0 (suave_bt) and its extended mission; the one tree decides about tasks and adapts the vehicle:
+`none` and `random` only request modes. `metacontrol` reasons every 1.5 s about an ontology of
+functions, their designs and objectives, by the rules of TOMASys, here pure functions, and requests
+modes. `bt` is the behaviour tree of kas-lab/suave v1.3.0 (suave_bt) and its extended mission; the
+one tree decides about tasks and adapts the vehicle:
 
 mission (reactive)
 ├── motion: all thrusters ok? -> mode fd_all_thrusters, or else mode fd_recover_thrusters
@@ -36,13 +37,14 @@ LOW_LEVEL = np.float32(0.25)
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """What a mode means: whether the component is active in it, and the values of its parameters."""
+    """What a mode means: whether the component is active, and its parameters."""
 
     active: bool
     parameters: Mapping[str, float] = field(default_factory=dict)
 
 
-_ON, _OFF = Mode(True), Mode(False)
+_ON = Mode(True)
+_OFF = Mode(False)
 _LOW, _MEDIUM, _HIGH = (Mode(True, {"spiral_altitude": metres}) for metres in (1.0, 2.0, 3.0))
 
 FUNCTIONS: Final[Mapping[str, tuple[str, Mapping[str, Mode]]]] = {
@@ -78,7 +80,8 @@ class SystemModes:
         before, (component, modes) = self._requested.get(function), FUNCTIONS[function]
         if mode == before:
             return
-        had, wanted = modes[before] if before else None, modes[mode]
+        had = modes[before] if before else None
+        wanted = modes[mode]
         self._requested[function] = mode
         if wanted.parameters and (had is None or had.parameters != wanted.parameters):
             self._robot.set_parameters(component, wanted.parameters)
@@ -94,7 +97,8 @@ class SystemModes:
     def is_in(self, function: str, mode: str) -> bool:
         """Tell whether a component is as a mode wants it; several modes may want the same."""
         component, modes = FUNCTIONS[function]
-        wanted, parameters = modes[mode], self._robot.parameters(component)
+        wanted = modes[mode]
+        parameters = self._robot.parameters(component)
         return wanted.active == self._robot.is_active(component) and all(
             parameters.get(key) == value for key, value in wanted.parameters.items()
         )
@@ -126,11 +130,15 @@ class NoManager(ModesManager):
 
 
 PERIODS_S = {"2024": 15.0, "2025": 30.0}
-"""Time between two choices [s], by the rules. 30 s were always intended, but v1.3.0 reads another parameter."""
+"""Time between two choices [s], by the rules. 30 s were always intended, but v1.3.0 reads another
+parameter."""
 
 
 class RandomManager(ModesManager):
-    """Every 15 or 30 s requests a random mode of the task's function; it may be the one that stops it."""
+    """Every 15 or 30 s requests a random mode of the task's function.
+
+    It may be the one that stops it.
+    """
 
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
@@ -144,7 +152,10 @@ class RandomManager(ModesManager):
 
 
 class TreeManager(ModesManager):
-    """Ticks the tree every 0.15 s; it sleeps for 100 ms after each tick and for 50 ms in each running action."""
+    """Ticks the tree every 0.15 s.
+
+    It sleeps for 100 ms after each tick and for 50 ms in each running action.
+    """
 
     decides_tasks = True
 
@@ -166,7 +177,9 @@ class _RequestMode(Behaviour):
 
     def __init__(self, modes: SystemModes, function: str, mode: str) -> None:
         super().__init__(f"{function}: {mode}")
-        self._modes, self._function, self._mode = modes, function, mode
+        self._modes = modes
+        self._function = function
+        self._mode = mode
 
     def update(self) -> Status:
         self._modes.request(self._function, self._mode)
@@ -174,19 +187,20 @@ class _RequestMode(Behaviour):
 
 
 class _DoTask(Behaviour):
-    """Does a task until `until` is published once more; then, or when halted, it ungrounds the functions."""
+    """Does a task until `until` is published once more.
+
+    Then, or when halted, it ungrounds the functions.
+    """
 
     def __init__(
         self, robot: Robot, modes: SystemModes, task: str, until: str, functions: tuple[str, ...]
     ) -> None:
         super().__init__(task)
-        self._robot, self._modes, self._task, self._until, self._functions = (
-            robot,
-            modes,
-            task,
-            until,
-            functions,
-        )
+        self._robot = robot
+        self._modes = modes
+        self._task = task
+        self._until = until
+        self._functions = functions
         self._before = 0
 
     def initialise(self) -> None:
@@ -208,7 +222,8 @@ class _DoTask(Behaviour):
 
 
 def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
-    measured, heard = robot.measured, robot.percepts.count
+    measured = robot.measured
+    heard = robot.percepts.count
 
     def request(function: str, mode: str) -> Behaviour:
         return _RequestMode(modes, function, mode)
@@ -239,7 +254,7 @@ def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
         Selector("altitude", memory=False, children=altitudes),
         do("search_pipeline", "pipeline_found", SEARCH),
     ]
-    found = Condition("found?", lambda: heard("pipeline_found") > 0)
+    is_found = Condition("found?", lambda: heard("pipeline_found") > 0)
     inspect = [
         request(FOLLOW, "fd_follow_pipeline"),
         do("inspect_pipeline", "pipeline_inspected", FOLLOW),
@@ -249,7 +264,9 @@ def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
             "battery ok?", lambda: bool(np.float32(measured.get("battery_level", 1.0)) >= LOW_LEVEL)
         ),
         Selector(
-            "find", memory=True, children=[found, Sequence("search", memory=False, children=search)]
+            "find",
+            memory=True,
+            children=[is_found, Sequence("search", memory=False, children=search)],
         ),
         Sequence("inspect", memory=False, children=inspect),
     ]
@@ -273,9 +290,12 @@ def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A design of a function, with the name of the mode that it requests; higher performance is better.
+    """A design of a function, with the name of the mode that it requests.
 
-    It needs the components, and for each of the qualities, (attribute, least value), at least that value.
+    Higher performance is better.
+
+    It needs the components, and for each of the qualities, (attribute, least value), at least that
+    value.
     """
 
     name: str
@@ -286,7 +306,7 @@ class Design:
 
 
 DESIGNS: Final = (
-    Design("fd_all_thrusters", MOTION, 1.0, tuple(f"c_thruster_{one}" for one in range(1, 7))),
+    Design("fd_all_thrusters", MOTION, 1.0, tuple(f"c_thruster_{index}" for index in range(1, 7))),
     Design("fd_follow_pipeline", FOLLOW, 1.0),
     Design("fd_spiral_high", SEARCH, 1.0, qualities=(("water_visibility", 3.25),)),
     Design("fd_recover_thrusters", MOTION, 0.75),
@@ -322,7 +342,8 @@ class Situation:
     Attributes:
         measured: the last value of each attribute that is measured.
         failed: names of the components that have failed.
-        unrealisable: names of designs that need a failed component, as the pass before has inferred.
+        unrealisable: names of designs that need a failed component, as the pass before has
+            inferred.
         grounded: names of the designs that serve objectives, by function.
         not_in_force: functions whose mode was requested, but is not in force.
         errors: names of designs whose mode did not come into force.
@@ -340,12 +361,14 @@ class Situation:
 
 def unrealisable(situation: Situation) -> frozenset[str]:
     """Return the names of the designs that need a failed component."""
-    return frozenset(one.name for one in DESIGNS if not situation.failed.isdisjoint(one.components))
+    return frozenset(
+        design.name for design in DESIGNS if not situation.failed.isdisjoint(design.components)
+    )
 
 
 def standing(situation: Situation, function: str) -> Standing:
     grounded = situation.grounded.get(function)
-    design = next((one for one in designs_of(function) if one.name == grounded), None)
+    design = next((design for design in designs_of(function) if design.name == grounded), None)
     if design is None:
         return Standing.UNGROUNDED
     if design.name in situation.unrealisable:
@@ -361,13 +384,18 @@ def best_design(situation: Situation, function: str) -> Design | None:
     """Return the best design of a function that is possible now; None if there is none."""
     barred = situation.unrealisable | situation.errors
     possible = (
-        one for one in designs_of(function) if one.name not in barred and _suffices(one, situation)
+        design
+        for design in designs_of(function)
+        if design.name not in barred and _suffices(design, situation)
     )
     return next(possible, None)
 
 
 def _suffices(design: Design, situation: Situation) -> bool:
-    """Tell whether no quality is measured below what a design needs; unmeasured ones count as good enough."""
+    """Tell whether no quality is measured below what a design needs.
+
+    Unmeasured ones count as good enough.
+    """
     measured = situation.measured
     return all(not measured[name] < value for name, value in design.qualities if name in measured)
 
@@ -377,11 +405,11 @@ OBJECTIVES: Final = {"search_pipeline": (MOTION, SEARCH), "inspect_pipeline": (M
 
 
 class Metacontrol(ModesManager):
-    """Grounds the objectives of a task in function designs, and replaces the designs of objectives in error.
+    """Grounds objectives of a task in function designs; replaces those of objectives in error.
 
-    A pass of reasoning uses what was received before it; what it infers is used by the next pass only. So a component
-    that fails makes designs unrealisable in one pass, and puts an objective in error in a second one, which follows at
-    once.
+    A pass of reasoning uses what was received before it; what it infers is used by the next pass
+    only. So a component that fails makes designs unrealisable in one pass, and puts an objective in
+    error in a second one, which follows at once.
     """
 
     options: ClassVar = (

@@ -1,10 +1,10 @@
-"""The sub-commands of `rosa`: what they share, `rosa list` and `rosa settings`."""
+"""The sub-commands of `rosa`: what they share, and `rosa list`, `rosa settings`, `rosa store`."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
-from typer import Argument, Option, echo
+from typer import Argument, Option, Typer, echo
 
 from missions import SUMMARIES
 
@@ -28,6 +28,7 @@ Breakpoints = Annotated[
     Option("--break", metavar="CONDITION", help='Stop at e.g. "inspect_pipeline unfeasible".'),
 ]
 Store = Annotated[File, Option(help="Keep what becomes known in this file.")]
+StoreFile = Annotated[Path, Argument(metavar="FILE", help="The store.")]
 Token = Annotated[str, Option(envvar="ROSA_TOKEN", help="The token of the connection.")]
 
 
@@ -114,3 +115,29 @@ def list_settings(
         row = f"{setting.name:<32} {shown:>9} {setting.unit:<8} {setting.allowed}"
         print_lines([row.rstrip()], "bold")
         print_lines([f"    {setting.meaning} [{setting.source}]"], "dim")
+
+
+store: Final = Typer(
+    help="Show or copy the store of a knowledge base.", no_args_is_help=True, add_completion=False
+)
+
+
+@store.command()
+def info(file: StoreFile) -> None:
+    """Check a store that is not in use, and show what is in it."""
+    from kb.store import store_info
+
+    for title, value in store_info(file).items():
+        echo(f"{title}: {value}")
+
+
+@store.command()
+def backup(
+    file: StoreFile,
+    copy: Annotated[Path, Argument(metavar="COPY", help="A file that does not exist yet.")],
+) -> None:
+    """Copy a store that is not in use."""
+    from kb.store import backup_store
+
+    backup_store(file, copy)
+    echo(f"{file} is copied to {copy}")

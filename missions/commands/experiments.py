@@ -6,11 +6,11 @@ from pathlib import Path
 from time import perf_counter
 from typing import Annotated
 
-import typer
 from rich.console import Console
 from rich.markup import escape
+from typer import Argument, Exit, Option, echo
 
-from missions.commands import FAILED, ROBOT, open_console
+from missions.commands import FAILED, ROBOT, File, Text, Texts, print_lines
 from missions.engine.mission import MissionError, find_robot, needs
 from missions.experiments.campaign import Campaign, check_campaign, paper_table, read_campaign
 from missions.experiments.learning import learn as learned_from
@@ -23,30 +23,26 @@ from missions.views.report import write_report as write_page
 
 
 def campaign(
-    file: Annotated[Path | None, typer.Argument(metavar="FILE.toml", help="What to run.")] = None,
+    file: Annotated[File, Argument(metavar="FILE.toml", help="What to run.")] = None,
     table: Annotated[
-        bool, typer.Option("--paper-table", help="The table of the ROSA paper: 100 runs each.")
+        bool, Option("--paper-table", help="The table of the ROSA paper: 100 runs each.")
     ] = False,
     runs: Annotated[
-        int | None, typer.Option(help="How many of each, whatever the file says.")
+        int | None, Option(min=1, help="How many of each, whatever the file says.")
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes on this machine; default: all cores.")
+        int | None, Option(min=1, help="Processes on this machine; default: all cores.")
     ] = None,
     cluster: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Of the scheduler of a dask cluster.")
+        Text, Option(metavar="ADDRESS", help="Of the scheduler of a dask cluster.")
     ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with the campaign in DIR.")
-    ] = False,
+    resume: Annotated[bool, Option("--resume", help="Go on with the campaign in DIR.")] = False,
     retry: Annotated[
-        bool, typer.Option("--retry", help="With --resume: also repeat runs that crashed.")
+        bool, Option("--retry", help="With --resume: also repeat runs that crashed.")
     ] = False,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Where; default: campaigns/NAME.")
-    ] = None,
+    out: Annotated[File, Option(metavar="DIR", help="Where; default: campaigns/NAME.")] = None,
 ) -> None:
-    """Run missions with many managers, settings and seeds, and exit with 0 if none of the runs crashed."""
+    """Run missions with many managers, settings and seeds; exit with 0 if no run crashed."""
     asked = _asked(file, table, runs)
     if workers is not None and cluster is not None:
         raise MissionError("give --workers N for this machine or --cluster ADDRESS, not both")
@@ -69,13 +65,11 @@ def campaign(
                 written = conduct(store, folder, chosen, retry=retry, progress=shown)
         except (KeyboardInterrupt, SystemExit, MissionError):
             words = [str(file)] if store.campaign.own_modules else []  # see Store
-            words += ["--runs", str(runs)] if words and runs is not None else []
-            words += [
-                "--resume",
-                "--out",
-                str(folder),
-                *(["--cluster", cluster] if cluster else []),
-            ]
+            if words and runs is not None:
+                words += ["--runs", str(runs)]
+            words += ["--resume", "--out", str(folder)]
+            if cluster:
+                words += ["--cluster", cluster]
             again = escape(f"rosa campaign {shlex.join(words)}")
             console.print(
                 f"{shown.count} of {shown.total} runs are done and kept; go on with\n  {again}"
@@ -89,7 +83,7 @@ def campaign(
     console.print(f"written: {', '.join(escape(str(path)) for path in written)}")
     console.print(f"`rosa report {escape(str(folder))}` says what came of it")
     if shown.crashed:
-        raise typer.Exit(FAILED)
+        raise Exit(FAILED)
 
 
 def _asked(file: Path | None, table: bool, runs: int | None) -> Campaign | None:
@@ -105,19 +99,17 @@ def _asked(file: Path | None, table: bool, runs: int | None) -> Campaign | None:
 
 def report(
     source: Annotated[
-        Path, typer.Argument(metavar="DIR | RECORDING", help="A campaign's folder, or a recording.")
+        Path, Argument(metavar="DIR | RECORDING", help="A campaign's folder, or a recording.")
     ],
     out: Annotated[
-        Path | None,
-        typer.Option(
+        File,
+        Option(
             "--out",
             "-o",
             help="Where to write; default: DIR/report, or the recording's name with .html.",
         ),
     ] = None,
-    figures: Annotated[
-        list[str] | None, typer.Option("--figure", help="Of a campaign: compare by these.")
-    ] = None,
+    figures: Annotated[Texts, Option("--figure", help="Of a campaign: compare by these.")] = None,
 ) -> None:
     """Write the report on a campaign, as report.md and report.html, or a recording as a page."""
     if source.is_file() or source.suffix in (".mcap", ".jsonl"):
@@ -125,7 +117,7 @@ def report(
 
         target = out or source.with_suffix(".report.html")
         write_page(target, read_page(source))
-        typer.echo(target)
+        echo(target)
         return
     results = Results(source)
     with needs("plot", "the report on a campaign"):  # before anything is written
@@ -135,15 +127,12 @@ def report(
 
     for path in write_report(results, out or source / "report", figures=figures or ()):
         if path.stem == "report":
-            typer.echo(path)
+            echo(path)
 
 
 def learn(
-    runs: Annotated[list[Path], typer.Argument(help="Recordings, and folders of campaigns.")],
-    model: Annotated[str, typer.Option(help=ROBOT)],
+    runs: Annotated[list[Path], Argument(help="Recordings, and folders of campaigns.")],
+    model: Annotated[str, Option(help=ROBOT)],
 ) -> None:
-    """Compare a model with runs: rates and durations, each with its interval and the number of observations."""
-    known, _ = find_robot(model)
-    console = open_console()
-    for learned in learned_from(read_runs(runs), known):
-        console.print(str(learned), markup=False)
+    """Compare a model with runs: rates and durations, each with its interval."""
+    print_lines(learned_from(read_runs(runs), find_robot(model)[0]))

@@ -12,10 +12,10 @@ from missions.proof.verification import prove, setup_of
 from missions.views.output import as_json, open_files
 from missions.views.plan import (
     as_data,
-    causes_of,
     certificate_as_data,
     certificate_lines,
     lines_of,
+    links_of,
     svg_of,
 )
 
@@ -69,14 +69,17 @@ def plan(
     outputs = open_files({"json": json, "svg": svg})
     if certificate:
         proven = certified(question, timeout, failures)
-        lines, is_solved = certificate_lines(proven), proven.entries[()].outcome.is_solved
+        lines = certificate_lines(proven)
+        is_solved = proven.entries[()].outcome.is_solved
         texts = {"json": as_json(certificate_as_data(proven))}
     else:
         reply = answer(question, timeout)
-        lines, is_solved = lines_of(reply), reply.result.outcome.is_solved
+        lines = lines_of(reply)
+        is_solved = reply.result.outcome.is_solved
         texts = {"json": as_json(as_data(reply.result))}
         if is_solved and svg:
-            texts["svg"] = svg_of(causes_of(reply), f"plan of {question.domain.name}")
+            title = f"plan of {question.domain.name}"
+            texts["svg"] = svg_of(reply.result.steps, links_of(reply), title)
     for line in lines:
         echo(line)
     for name, output in outputs.items():

@@ -45,7 +45,6 @@ def run(
         Text, Option(help="By a tree (bt) or plans (pddl); default: what is there.")
     ] = None,
     manager: Annotated[str, Option(help=_MANAGERS)] = "ours",
-    rules: Annotated[Text, Option(help="At sea: 2024 (the ROSA paper) or 2025.")] = None,
     seed: Annotated[int, Option(min=0, help="Seed of all chance in the run.")] = 0,
     json: Annotated[File, Option(help="Write the result as JSON.")] = None,
     plot: Annotated[File, Option(help="Draw the run as a PNG picture.")] = None,
@@ -72,9 +71,6 @@ def run(
         bool, Option("--allow-control", help="Allow pause, step and fault injection on the page.")
     ] = False,
     tui: Annotated[bool, Option("--tui", help="Show the run in the terminal; q leaves.")] = False,
-    realtime: Annotated[
-        bool, Option("--realtime", help="Run no faster than the wall clock.")
-    ] = False,
     speed: Annotated[
         float | None,
         Option(help="Times real time at most, 0: no limit; default 1 with --live and --tui."),
@@ -89,8 +85,6 @@ def run(
             import matplotlib  # noqa: F401  # if it is missing, say so before the run
     chosen = find_mission(mission)
     changed = assignments(settings, "--set")
-    if rules is not None:
-        changed["rules"] = rules
     verbs = {"fail": fail, "recover": recover, "measure": measure, "release": release}
     faults = [read_fault(f"{verb} {text}") for verb, texts in verbs.items() for text in texts or ()]
     is_mcap = record is not None and record.suffix == ".mcap"
@@ -103,7 +97,7 @@ def run(
         opened = open_run(chosen, manager=manager, task=task, seed=seed, settings=changed)
         opened.faults.add(*faults)
         if speed is None:
-            speed = 1.0 if realtime or is_shown else 0.0
+            speed = 1.0 if is_shown else 0.0
         steering = Steering(speed)
         steering.begin(opened)
         progress = progress and not tui

@@ -173,17 +173,15 @@ class WorldKind(ABC):
 
 # ---------------------------------------------------------------- the mission
 
-_FIELDS: Final = {
-    "world": (lambda value: isinstance(value, WorldKind), "an object of a subclass of WorldKind"),
-    "actions": (
-        lambda value: isinstance(value, Mapping),
-        "a mapping of PDDL actions to behaviours",
-    ),
-    "domain": (lambda value: not isinstance(value, str), "a pathlib.Path"),
-    "problem": (lambda value: not isinstance(value, str), "a pathlib.Path"),
-    "engines": (lambda value: not isinstance(value, str), "a tuple of names"),
+
+_FIELDS: Final[Mapping[str, tuple[Any, str]]] = {
+    "world": (WorldKind, "an object of a subclass of WorldKind"),
+    "actions": (Mapping, "a mapping of PDDL actions to behaviours"),
+    "domain": ((Path, type(None)), "a pathlib.Path"),
+    "problem": ((Path, type(None), Callable), "a pathlib.Path"),
+    "engines": (tuple, "a tuple of names"),
 }
-_PARAMETERS: Final = {  # tree and by_hand may be None
+_PARAMETERS: Final = {
     "model": "",
     "tree": "kb, percepts",
     "by_hand": "kb, percepts, managed",
@@ -239,30 +237,28 @@ class Mission:
     selects: bool = False
 
     def __post_init__(self) -> None:
-        for name, (is_fit, expected) in _FIELDS.items():
-            self._check(name, is_fit, expected)
+        for name, (kind, expected) in _FIELDS.items():
+            self._check(name, isinstance(getattr(self, name), kind), expected)
         for name, parameters in _PARAMETERS.items():
             function = attrgetter(name)(self)
             if function is None and name in ("tree", "by_hand"):
                 continue
-            self._check(name, callable, "a function")
+            self._check(name, callable(function), "a function")
             try:
                 signature(function).bind(*parameters.split())
             except TypeError as error:
-                raise MissionError(
-                    f"{name} of mission {self.name} is called with ({parameters}), but takes "
-                    f"{signature(function)}: {error}; give it these parameters"
-                ) from error
+                takes = f"is called with ({parameters}), but takes {signature(function)}"
+                title = f"{name} of mission {self.name} {takes}"
+                raise MissionError(f"{title}: {error}; give it these parameters") from error
             except ValueError:  # not written in Python
                 continue
         if self.tree is None and self.problem is None:
-            raise MissionError(
-                f"mission {self.name} has no task: give it a tree, or a PDDL domain and problem"
-            )
+            hint = "give it a tree, or a PDDL domain and problem"
+            raise MissionError(f"mission {self.name} has no task: {hint}")
 
-    def _check(self, name: str, is_fit: Callable[[Any], bool], expected: str) -> None:
-        value = attrgetter(name)(self)
-        if not is_fit(value):
+    def _check(self, name: str, is_fit: bool, expected: str) -> None:
+        if not is_fit:
+            value = attrgetter(name)(self)
             raise MissionError(
                 f"{name} of mission {self.name} is {value!r}; expected is {expected}"
             )
@@ -315,14 +311,8 @@ def built(title: str, kind: type[T], build: Callable[..., object], *arguments: o
 
 def settings_of(mission: Mission) -> tuple[Setting, ...]:
     """Return all settings of a mission: those of the run, then those of its world."""
-    title = f"settings() of {type(mission.world).__name__}"
-    with blamed(lambda: f"{title} failed"):
-        settings = tuple(mission.world.settings())
-    for value in settings:
-        if not isinstance(value, Setting):
-            expected = "a tuple of missions.engine.settings.Setting"
-            raise MissionError(f"{title} gives {value!r}; expected is {expected}")
-    return (*declared(RunSettings), *settings)
+    with blamed(lambda: f"settings() of {type(mission.world).__name__} failed"):
+        return (*declared(RunSettings), *mission.world.settings())
 
 
 def split_settings(
@@ -353,15 +343,6 @@ MISSIONS: Final = {name: f"missions.{name}:MISSION" for name in SUMMARIES}
 _OWN: Final = f"{', '.join(MISSIONS)}; one of your own is "
 
 
-def _advice(kind: str, name: str) -> str:
-    """Return what to write instead of an unknown name, if it looks like something else."""
-    if name.endswith(".toml"):
-        return f"a file of settings is given as --config {name}; "
-    if name.isidentifier() and (Path(name, "__init__.py").exists() or Path(f"{name}.py").exists()):
-        return f"did you mean {name}:{kind.upper()}? "
-    return ""
-
-
 def load(kind: str, name: str, homes: Mapping[str, str], existing: str) -> Any:  # noqa: ANN401  # the caller checks it
     """Import a thing of some kind, such as "mission", by a registered name or as "module:NAME".
 
@@ -372,7 +353,7 @@ def load(kind: str, name: str, homes: Mapping[str, str], existing: str) -> Any: 
         MissionError: the name is unknown, or the import fails.
     """
     if name not in homes and ":" not in name[1:]:
-        raise MissionError(f"unknown {kind} {name!r}; {_advice(kind, name)}there are {existing}")
+        raise MissionError(f"unknown {kind} {name!r}; there are {existing}")
     home, _, attribute = homes.get(name, name).partition(":")
     title = f"cannot import {kind} {name!r}"
     try:

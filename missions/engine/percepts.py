@@ -26,15 +26,17 @@ def check_message(message: Any, source: str) -> None:  # noqa: ANN401  # anythin
     if not isinstance(time, Real) or isinstance(time, bool) or not 0 <= float(time) < inf:
         expected = 'a message is an object with a number "time" [s] from 0 and a list "status"'
         raise MissionError(f"{source}: {expected}, not {message!r:.100}")
-    statuses = fields.get("status")
-    for status in statuses if isinstance(statuses, list | tuple) else (statuses,):
-        values = status.get("values") if isinstance(status, Mapping) else None
-        if not isinstance(values, Mapping) or not isinstance(status.get("message"), str):
+    for status in fields.get("status", [None]):
+        if not _is_status(status):
             expected = 'each "status" is an object with a text "message" and an object "values"'
             raise MissionError(f"{source}: {expected}, not {status!r:.100}")
-        for name in values:
-            if not isinstance(name, str):
-                raise MissionError(f'{source}: names in "values" are texts, not {name!r:.100}')
+
+
+def _is_status(status: Any) -> bool:  # noqa: ANN401  # anything, until it is checked
+    values = status.get("values") if isinstance(status, Mapping) else None
+    if not isinstance(values, Mapping) or not isinstance(status.get("message"), str):
+        return False
+    return all(isinstance(name, str) for name in values)
 
 
 def measured(time: float, **values: float) -> Message:

@@ -126,24 +126,16 @@ def _factory(
 
     The executor alone would take an exception for a failed step.
     """
-    parameters = signature(action)
-    title = f"what does the PDDL action {schema} is"
-    has_step = "step" in parameters.parameters
-    try:
-        parameters.bind(kb, percepts, **({"step": None} if has_step else {}))
-    except TypeError as error:
-        arguments = "the knowledge base, the percepts and, as `step`, the step"
-        raise MissionError(f"{title} given {arguments}: {error}") from error
+    has_step = "step" in signature(action).parameters
+    title = f"the behaviour of the PDDL action {schema}"
 
     def build(step: Step) -> Behaviour:
+        build_behaviour = partial(action, kb, percepts, **({"step": step} if has_step else {}))
         try:
-            behaviour = action(kb, percepts, **({"step": step} if has_step else {}))
-            if not isinstance(behaviour, Behaviour):
-                raise MissionError(f"{title} {behaviour!r}, not a py_trees behaviour")
+            return built(title, Behaviour, build_behaviour)  # type: ignore[type-abstract]  # only for isinstance
         except Exception as error:
             errors.append(error)
             raise
-        return behaviour
 
     return build
 

@@ -258,8 +258,6 @@ def check_campaign(campaign: Campaign) -> None:
     """Open one run of each combination to check it; MissionError if something does not exist or is not allowed."""
     for task in campaign.tasks:
         check_task(task)
-    if campaign.runs < 1:
-        raise MissionError(f"a campaign of {campaign.runs} runs does nothing; ask for 1 at least")
     for name, settings, layer in product(campaign.missions, campaign.variants, campaign.layers):
         run = PlannedRun(name, *layer, campaign.first_seed, settings).open()
         with closing(run.world):

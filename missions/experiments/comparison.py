@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import floor
+from math import floor, sqrt
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -147,14 +147,15 @@ class Interval(NamedTuple):
 
 def mean_of(values: Values) -> Interval:
     """Return the mean of at least two values with Student's interval; of differences, it is the paired test."""
-    from scipy.stats import ttest_1samp
+    from scipy.stats import t
 
     mean = float(np.mean(values))
-    if np.ptp(values) == 0:
+    error = float(np.std(values, ddof=1)) / sqrt(len(values))
+    if error == 0:
         return Interval(mean, mean, mean, float(mean == 0))
-    result = ttest_1samp(values, 0.0)
-    ends = result.confidence_interval()
-    return Interval(mean, float(ends.low), float(ends.high), float(result.pvalue))
+    freedom = len(values) - 1
+    low, high = t.interval(0.95, freedom, mean, error)
+    return Interval(mean, float(low), float(high), float(2 * t.sf(abs(mean / error), freedom)))
 
 
 def holm(ps: Sequence[float]) -> list[float]:

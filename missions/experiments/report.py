@@ -15,8 +15,8 @@ from missions.baselines import OURS
 from missions.engine.mission import MissionError
 from missions.experiments.comparison import (
     SEARCH,
-    Array,
     Comparison,
+    Values,
     comparisons,
     holm,
     mean_of,
@@ -119,16 +119,14 @@ def write_report(results: Results, folder: Path, *, figures: Sequence[str] = ())
     crashed = results.crashed
     name = results.campaign.name
     if not parts:
-        ended = f"all of its {len(crashed)} runs crashed" if crashed else "none of its runs is done"
-        raise MissionError(f"there is nothing to report of {name}: {ended}")
+        raise MissionError(f"there is nothing to report of {name}: no run is done without a crash")
     known = dict.fromkeys(figure for part in parts for figure in part.figures)
     for figure in figures:
         if figure not in known:
             raise MissionError(f"no run has a figure {figure!r}; there are {', '.join(known)}")
     document = Document(f"Campaign {name}")
-    versions = ", ".join(f"{name} {version}" for name, version in results.provenance.items())
-    count = f"{len(results.outcomes)} of {results.campaign.size} runs are done"
-    document.parts.append(f"{count}, {len(crashed)} of them crashed. Made by {versions}.")
+    done = f"{len(results.outcomes)} of {results.campaign.size} runs are done"
+    document.parts.append(f"{done}, {len(crashed)} of them crashed.")
     for comparison in parts:
         document.parts.append(f"## {comparison.title}")
         _add_comparison(document, comparison, figures)
@@ -240,7 +238,7 @@ def _add_differences(
         document.table(["figure: one - other", "pairs", "mean [95 %]", "p, corrected"], rows)
 
 
-def _mean(values: Sequence[float] | Array, spec: str = ".2f") -> str:
+def _mean(values: Values, spec: str = ".2f") -> str:
     if not len(values):
         return NONE
     return format(mean_of(values) if len(values) >= LEAST_RUNS else np.mean(values), spec)

@@ -121,7 +121,13 @@ class Results:
 
     def write_tables(self, folder: Path) -> list[Path]:
         """Write the table of runs as CSV and as JSON, and return the files."""
-        rows = [_row(record) for record in self.records]
+        rows = []
+        for record in self.records:
+            figures = {
+                name: record[name] for name in record if name not in ("reactions", "settings")
+            }
+            settings = record["settings"].items()
+            rows.append(figures | {f"set_{name}": value for name, value in settings})
         columns = dict.fromkeys(name for row in rows for name in row) or {"run": None}
         text = StringIO()
         ordered = sorted(columns, key=lambda name: name.startswith("set_"))
@@ -133,14 +139,6 @@ class Results:
         for name, content in tables.items():
             OutputFile(folder / name).finish(content)
         return [folder / name for name in tables]
-
-
-def _row(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the figures of a run; its settings have the prefix "set_"."""
-    figures = {
-        name: value for name, value in record.items() if name not in ("reactions", "settings")
-    }
-    return figures | {f"set_{name}": value for name, value in record["settings"].items()}
 
 
 class Store:

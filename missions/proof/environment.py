@@ -28,7 +28,7 @@ Signature = frozenset[object]
 class Facts(NamedTuple):
     """All that a knowledge base is told and decides; statuses follow from it."""
 
-    values: tuple[Value, ...]
+    values: tuple[tuple[str, Value], ...]
     failed: frozenset[str]
     active: frozenset[str]
     selected: frozenset[tuple[str, str]]
@@ -146,7 +146,7 @@ class Environment:
     def changes(self, facts: Facts) -> Iterator[tuple[tuple[Change, ...], Facts]]:
         """Yield the sets of changes that can happen next, beginning with none, and the facts after each."""
         single = []
-        for name, present in zip(self.values, facts.values, strict=True):
+        for name, present in facts.values:
             single += [Change(name, value) for value in self.values[name] if value != present]
             if name in self.ageing and present not in (None, STALE):
                 single.append(Change(name, STALE))
@@ -157,22 +157,12 @@ class Environment:
             single += [Change(name, True) for name in up[:1]]
         for count in range(self._setup.at_once + 1):
             for chosen in combinations(single, count):
-                after = self._changed(facts, chosen)
-                is_allowed = len(after.failed) <= max(self._setup.failures, len(facts.failed))
-                if is_allowed and len({change.name for change in chosen}) == count:
-                    yield chosen, after
-
-    def _changed(self, facts: Facts, changes: Iterable[Change]) -> Facts:
-        values: dict[str, Value] = dict(zip(self.values, facts.values, strict=True))
-        failed = set(facts.failed)
-        for change in changes:
-            if not isinstance(change.to, bool):
-                values[change.name] = change.to
-            elif change.to:
-                failed.add(change.name)
-            else:
-                failed.discard(change.name)
-        return facts._replace(values=tuple(values.values()), failed=frozenset(failed))
+                to = dict(chosen)
+                failed = {name for name in facts.failed if to.get(name) is not False}
+                failed |= {name for name in to if to[name] is True}
+                if len(to) == count and len(failed) <= max(self._setup.failures, len(facts.failed)):
+                    values = tuple((name, to.get(name, value)) for name, value in facts.values)
+                    yield chosen, facts._replace(values=values, failed=frozenset(failed))
 
     def _distinct(self, attribute: Attribute) -> tuple[float, ...]:
         """Return values of an attribute, one for each possible signature."""

@@ -13,7 +13,7 @@ from py_trees.blackboard import Blackboard
 from py_trees.common import Status
 from py_trees.composites import Sequence as SequenceNode
 
-from missions.proof.environment import Change, Facts, Value
+from missions.proof.environment import Change, Facts
 from missions.proof.memory import Memory
 from missions.proof.rig import Answer, Rig, Step
 from missions.proof.setup import Predicate, Setup
@@ -160,11 +160,6 @@ class Exploration:
                     seen.add(each.after)
                     reached.append(each.after)
         return reached
-
-    def values(self, number: int) -> dict[str, Value]:
-        """Return what is measured in a situation, by attribute."""
-        values = self.situations[number].facts.values
-        return dict(zip(self.rig.environment.values, values, strict=True))
 
     def following(self, number: int) -> list[Round]:
         """Return the rounds that may follow a situation."""

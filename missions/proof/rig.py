@@ -21,7 +21,6 @@ from kb import ConfigurationManager, KnowledgeBase, UnknownName
 from kb.elements import AttributeKind
 from missions.engine.components import VERBS
 from missions.engine.mission import Condition
-from missions.proof.causes import Senses
 from missions.proof.environment import (
     STALE,
     Change,
@@ -30,7 +29,7 @@ from missions.proof.environment import (
     measure,
     without_debouncing,
 )
-from missions.proof.setup import Leaf, Setup
+from missions.proof.setup import Leaf, Senses, Setup
 from missions.testing.scripted import LETTERS, replace_work
 from rosa_bt import ForAction, RosaAction, TreeRunner
 from rosa_bt.behaviours import KbBehaviour
@@ -261,7 +260,7 @@ class Rig(VisitorBase):
         for name in self.environment.values:
             view = kb.attributes[name]
             value = STALE if view.is_stale else view.value
-            values.append(self.environment.representative(name, value))
+            values.append((name, self.environment.representative(name, value)))
         components = kb.components.items()
         selectable = [*kb.designs.values(), *kb.configurations.values()]
         requested = [(each.action, str(each.preference or "")) for each in kb.required_actions]
@@ -285,10 +284,8 @@ class Rig(VisitorBase):
             kb.cancel_action(action)
         for name in present.failed - facts.failed:
             kb.component_recovered(name)
-        names = self.environment.values
-        for name, value, before in zip(names, facts.values, present.values, strict=True):
-            if value != before:
-                measure(kb, name, value)
+        for name, value in {*facts.values} - {*present.values}:
+            measure(kb, name, value)
         for name in facts.failed - present.failed:
             kb.component_failed(name)
         for name in present.active ^ facts.active:

@@ -13,12 +13,11 @@ from kb import Event, KnowledgeBase, Model
 from missions.engine.mission import Mission, MissionError
 from missions.engine.task_layer import build_task
 from missions.proof.advice import mends
-from missions.proof.causes import Senses, causes_of
 from missions.proof.environment import Change
 from missions.proof.exploration import Exploration
 from missions.proof.properties import Finding, check, notes
 from missions.proof.rig import Rig, Step
-from missions.proof.setup import Setup
+from missions.proof.setup import Senses, Setup, causes_of
 
 
 @dataclass(frozen=True)
@@ -214,7 +213,7 @@ def _consequence(explored: Exploration, bad: Sequence[Change], caused: set[int])
     """Return what is reached with these facts; a quality that a deed restores need not last."""
     failed = {change.name for change in bad if change.to is True}
     worst = {change.name: change.to for change in bad if change.to is not True}
-    values = {number: explored.values(number) for number in caused}
+    values = {number: dict(explored.situations[number].facts.values) for number in caused}
     alone = {number for number in caused if explored.situations[number].facts.failed == failed}
     within = {number for number in alone if worst.items() <= values[number].items()}
     rounds = [each for each in explored.following(0) if each.is_caused]

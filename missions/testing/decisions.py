@@ -1,16 +1,16 @@
-"""Replay a recorded stream of diagnostics without a simulator; what is decided then, assertions and golden traces.
+"""Replay recorded diagnostics without a simulator; what is decided then, assertions, golden traces.
 
-The knowledge base, the manager and the task layer receive the recorded messages at their times, and decide again. Their
-commands take as long as in the recording, and have no effect on the messages.
+The knowledge base, the manager and the task layer receive the recorded messages at their times, and
+decide again. Their commands take as long as in the recording, and have no effect on the messages.
 """
 
-import math
 import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from difflib import ndiff, unified_diff
+from math import inf, isinf
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeVar
 
@@ -21,10 +21,7 @@ from kb.files import write_file
 from missions.engine.adaptations import Adaptation
 from missions.engine.components import VERBS
 from missions.engine.mission import (
-    Message,
     Mission,
-    MissionError,
-    Percepts,
     Verdict,
     World,
     WorldKind,
@@ -32,9 +29,10 @@ from missions.engine.mission import (
     built,
     find_mission,
 )
+from missions.engine.percepts import Message, Percepts
 from missions.engine.recording import read_recording
 from missions.engine.runner import MissionRun, RosaRun
-from missions.engine.settings import RunSettings
+from missions.engine.settings import MissionError, RunSettings
 from missions.testing.scripted import FakeClock, ScriptedManaged
 from missions.wires.mcap import Bag, is_bag, read_bag
 from rosa_bt import Trace, TraceVisitor, read_trace
@@ -44,28 +42,33 @@ if TYPE_CHECKING:
 
     from rosa_pddl import PlanRecord
 
-SLACK_S: Final = 1e-6  # tolerance for rounding errors of summed ticks [s]
-AROUND: Final = 3  # how many moments before and after the expected time a failure shows
-MOST: Final = 40  # how many lines of one kind a failure shows at most
-T = TypeVar("T")
-Names = str | Iterable[str]
-Steps = list[tuple[str, tuple[str, ...]]]
-"""Changes by plans: verbs, each with names of components or configurations."""
-TaskFactory = Callable[[KnowledgeBase, Percepts], Behaviour]
-"""Makes what decides about actions: a tree, or a plan executor (whose clock is then `lambda: kb.now`)."""
-
+SLACK_S: Final = 1e-6
+"""Tolerance for rounding errors of summed ticks [s]."""
+AROUND: Final = 3
+"""How many moments before and after the expected time a failure shows."""
+MOST: Final = 40
+"""How many lines of one kind a failure shows at most."""
 SWITCHING_S: Final = 0.05
 """How long a command takes if the recording does not say it [s]."""
 AFTERMATH_S: Final = 1.0
 """How long a replay goes on after the last message, for the reaction to it [s]."""
 
+T = TypeVar("T")
+Names = str | Iterable[str]
+Candidate = tuple[float, float, str, T]
+"""What may be meant: when it begins and when it is in force [s], in words, and the thing itself."""
+TaskFactory = Callable[[KnowledgeBase, Percepts], Behaviour]
+"""Makes what decides about actions: a tree, or a plan executor (with clock `lambda: kb.now`)."""
+
 
 class Moment(NamedTuple):
-    """One line of a timeline, at a time [s]; `reason` is empty if none is known."""
+    """One line of a timeline, at a time [s]; `reason` is empty if none is known.
+
+    `what` is "heard", "action" or "plan"; or "end" of a mission that ended before its recording.
+    """
 
     time: float
     what: str
-    """One of "heard", "action" or "plan"; or "end" of a mission that ended before its recording."""
     text: str
     reason: str = ""
 
@@ -78,18 +81,18 @@ class Moment(NamedTuple):
 class Decisions:
     """All decisions of a replay about task and architecture, in order; times in [s].
 
-    The assertions take `at`, the earliest time at which something may happen, and `within`, how long after that it has
-    to be in force. A name that the model does not have is an error, never a silent success.
+    The assertions take `at`, the earliest time at which something may happen, and `within`, how
+    long after that it has to be in force. A name that the model does not have is an error.
 
     Attributes:
-        actions: (name, start, end, result) of every action; end and result are None if the recording ends before.
+        actions: (name, start, end, result) of every action; None if the recording ends before.
         adaptations: every adaptation with its reason.
         task_plans: every task plan; none for a tree.
-        problems: (time, what) of every part of a message that could not be used; failures show them.
+        problems: (time, what) of every part of a message that could not be used.
         timeline: what became known and was decided, for people.
         trace: every tick of the task layer, as data.
         events: all events of the knowledge base, as data.
-        kb: the knowledge base at the end, for anything else that a test wants to know.
+        kb: the knowledge base at the end, for anything else that a test needs.
     """
 
     actions: tuple[tuple[str, float, float | None, str | None], ...]
@@ -108,45 +111,40 @@ class Decisions:
     @property
     def changes(self) -> tuple[Adaptation, ...]:
         """Every change of the task, in which one action replaces another, with its reason."""
-        return tuple(one for one in self.adaptations if one.action in self.kb.actions)
+        return tuple(entry for entry in self.adaptations if entry.action in self.kb.actions)
 
     def assert_actions(self, *names: str) -> None:
         """Assert that exactly these actions were begun, in this order."""
         __tracebackhide__ = True
-        self._check("actions", *names)
+        self._check("actions", names)
         begun = [name for name, *_ in self.actions]
-        if begun != list(names):
-            actions = "\n".join(
-                str(moment) for moment in self.timeline if moment.what in ("action", "end")
-            )
-            diff = "\n".join(
-                line.rstrip() for line in ndiff(names, begun) if not line.startswith("?")
-            )
-            headline = "other actions were begun (-: expected, +: what was done)"
-            raise self._error(headline, f"{diff}\n\nwhat happened:\n{actions}")
+        if begun == list(names):
+            return
+        diff = [line.rstrip() for line in ndiff(names, begun) if not line.startswith("?")]
+        shown = [str(moment) for moment in self.timeline if moment.what in ("action", "end")]
+        headline = "other actions were begun (-: expected, +: what was done)"
+        raise self._error([headline, *diff, "", "what happened:", *shown])
 
     def assert_begins(self, action: str, *, at: float, within: float = 1.0) -> None:
         """Assert that an action begins."""
         __tracebackhide__ = True
-        self._check("actions", action)
+        self._check("actions", [action])
         starts = [start for name, start, _, _ in self.actions if name == action]
-        found = [(start, start, f"it begins at {seconds(start)}", action) for start in starts]
-        self._in_time(f"{action} begins", at, within, found)
+        candidates = [(start, start, f"it begins at {seconds(start)}", None) for start in starts]
+        self._first(f"{action} begins", at, within, candidates)
 
     def assert_ends(
         self, action: str, result: str = "completed", *, at: float, within: float = 1.0
     ) -> None:
         """Assert that an action ends "completed", "failed" or "abandoned"."""
         __tracebackhide__ = True
-        self._check("actions", action)
-        ends = [
-            (end, how) for name, _, end, how in self.actions if name == action and end is not None
-        ]
-        found = [
-            (end, end if how == result else math.inf, f"it is {how} at {seconds(end)}", action)
-            for end, how in ends
-        ]
-        self._in_time(f"{action} is {result}", at, within, found)
+        self._check("actions", [action])
+        candidates = []
+        for name, _, end, how in self.actions:
+            if name == action and end is not None:
+                in_force = end if how == result else inf
+                candidates.append((end, in_force, f"it is {how} at {seconds(end)}", None))
+        self._first(f"{action} is {result}", at, within, candidates)
 
     def assert_adapts(
         self, *, at: float, from_: str | None = None, to: str | None = None, within: float = 1.0
@@ -163,12 +161,18 @@ class Decisions:
             The adaptation, with its reason.
         """
         __tracebackhide__ = True
-        self._check("actions", *filter(None, (from_, to)))
-        changes = [
-            one for one in self.changes if from_ in (None, one.before) and to in (None, one.action)
-        ]
-        found = [(one.at_s, one.in_force_s, _in_words(one), one) for one in changes]
-        return self._in_time(f"{from_ or 'any'} -> {to or 'any'}", at, within, found)
+        self._check("actions", filter(None, (from_, to)))
+        candidates = []
+        for change in self.changes:
+            if from_ in (None, change.before) and to in (None, change.action):
+                in_force = change.in_force_s
+                ending = f"is in force at {seconds(in_force)}"
+                words = (
+                    f"{change.before} -> {change.action} is decided at {seconds(change.at_s)} and "
+                    f"{'is never in force' if isinf(in_force) else ending} (because {change.why})"
+                )
+                candidates.append((change.at_s, in_force, words, change))
+        return self._first(f"{from_ or 'any'} -> {to or 'any'}", at, within, candidates)
 
     def assert_reconfigures(
         self,
@@ -179,19 +183,25 @@ class Decisions:
         configure: Names = (),
         within: float = 1.0,
     ) -> ReconfigurationPlan:
-        """Assert that a plan makes at least these changes, by names of components and configurations; return it.
+        """Assert that a plan makes at least these changes, by names; return it.
 
-        The event that calls for it happens at `at` [s]; the plan must be carried out at most `within` [s] later.
+        The event that calls for it happens at `at` [s]; the plan must be carried out at most
+        `within` [s] later.
         """
         __tracebackhide__ = True
-        wanted = self._steps(activate, deactivate, configure)
-        plans = [
-            plan
-            for plan in self.plans
-            if all(set(names) <= set(_done(plan)[verb]) for verb, names in wanted)
-        ]
-        found = [(one.start, _in_force(one), _ended(one), one) for one in plans]
-        return self._in_time("; ".join(_phrases(wanted)), at, within, found)
+        steps = self._steps(activate, deactivate, configure)
+        candidates = []
+        for plan in self.plans:
+            if set(steps) <= set(_steps_of(plan)):
+                ending = f"is {plan.result} at {seconds(plan.end or 0.0)}"
+                if plan.end is None:
+                    ending = "is still open at the end"
+                words = f"the plan of {seconds(plan.start)} {ending} (because {plan.reason})"
+                in_force = inf
+                if plan.result == "completed" and plan.end is not None:
+                    in_force = plan.end
+                candidates.append((plan.start, in_force, words, plan))
+        return self._first("; ".join(_phrases(steps)), at, within, candidates)
 
     def assert_never(
         self,
@@ -201,76 +211,84 @@ class Decisions:
         deactivate: Names = (),
         configure: Names = (),
         since: float = 0.0,
-        until: float = math.inf,
+        until: float = inf,
     ) -> None:
         """Assert that none of these begins from `since` until `until` [s].
 
         Raises:
-            ValueError: the replay has no such time, or nothing is named, which would hold for any replay.
+            ValueError: the replay has no such time, or nothing is named, which always holds.
         """
         __tracebackhide__ = True
         if not since <= min(until, self.kb.now):
-            raise ValueError(
-                f"from {since:g} s until {until:g} s is no time of this replay of {self.kb.now:g} s"
-            )
+            span = f"from {since:g} s until {until:g} s"
+            raise ValueError(f"{span} is no time of this replay of {self.kb.now:g} s")
         actions = _names(action)
-        self._check("actions", *actions)
-        unwanted = self._steps(activate, deactivate, configure, least=0 if actions else 1)
+        self._check("actions", actions)
+        steps = self._steps(activate, deactivate, configure, is_needed=not actions)
         begun = [
             (start, f"{name} is requested") for name, start, _, _ in self.actions if name in actions
         ]
         for plan in self.plans:
-            done = [
-                f"{verb} {name}"
-                for verb, names in unwanted
-                for name in names
-                if name in _done(plan)[verb]
-            ]
-            begun += [(plan.start, text) for text in done]
-        found = sorted(
-            (time, text) for time, text in begun if since - SLACK_S <= time <= until + SLACK_S
-        )
-        if found:
-            never = "never " + " or ".join(
-                [*(f"begin {name}" for name in actions), *_phrases(unwanted)]
-            )
-            times = _list(f"{text} at {seconds(time)}" for time, text in found)
-            shown = _around(self.timeline, found[0][0], found[0][0], never)
-            raise self._error(f"expected: {never}", f"{times}\n\nwhat happened:\n{shown}")
+            unwanted = [step for step in _steps_of(plan) if step in steps]
+            begun += [(plan.start, " ".join(step)) for step in unwanted]
+        begun = [entry for entry in sorted(begun) if since <= entry[0] + SLACK_S]
+        begun = [entry for entry in begun if entry[0] <= until + SLACK_S]
+        if begun:
+            never = " or ".join([*(f"begin {name}" for name in actions), *_phrases(steps)])
+            lines = [f"  but {text} at {seconds(time)}" for time, text in begun]
+            shown = self._around(begun[0][0], begun[0][0], f"never {never}")
+            headline = f"expected: never {never}"
+            raise self._error([headline, *lines, "", "what happened:", *shown])
 
-    def _steps(self, activate: Names, deactivate: Names, configure: Names, least: int = 1) -> Steps:
-        steps = [("activate", activate), ("deactivate", deactivate), ("configure", configure)]
-        asked = [(verb, _names(names)) for verb, names in steps if names]
-        if len(asked) < least:
+    def _steps(
+        self, activate: Names, deactivate: Names, configure: Names, *, is_needed: bool = True
+    ) -> list[tuple[str, str]]:
+        """Return (verb, name) for each name; the model has to have them."""
+        self._check("components", [*_names(activate), *_names(deactivate)])
+        self._check("configurations", _names(configure))
+        by_verb = {"activate": activate, "deactivate": deactivate, "configure": configure}
+        steps = [(verb, name) for verb, names in by_verb.items() for name in _names(names)]
+        if is_needed and not steps:
             raise ValueError("say what to look for: activate=..., deactivate=... or configure=...")
-        for verb, names in asked:
-            self._check("configurations" if verb == "configure" else "components", *names)
-        return asked
+        return steps
 
-    def _check(self, kind: str, *names: str) -> None:
+    def _check(
+        self, kind: Literal["actions", "components", "configurations"], names: Names
+    ) -> None:
+        views: Mapping[str, object] = getattr(self.kb, kind)
         for name in names:
-            getattr(self.kb, kind)[name]
+            _ = views[name]  # raises, and names the nearest
 
-    def _in_time(
-        self, expected: str, at: float, within: float, found: Sequence[tuple[float, float, str, T]]
+    def _first(
+        self, expected: str, at: float, within: float, candidates: Sequence[Candidate[T]]
     ) -> T:
-        """Return the first thing found (begin [s], in force [s], in words, thing) that is in time; raise if none is."""
+        """Return the first candidate in time."""
         __tracebackhide__ = True
-        for begin, end, _, one in found:
-            if begin >= at - SLACK_S and end <= at + within + SLACK_S:
-                return one
-        headline = f"expected between {seconds(at)} and {seconds(at + within)}: {expected}"
-        instead = _list([words for _, _, words, _ in found] or ["it never does"])
-        shown = _around(self.timeline, at, at + within, expected)
-        raise self._error(headline, f"{instead}\n\nwhat happened around {seconds(at)}:\n{shown}")
+        for begin, in_force, _, thing in candidates:
+            if begin >= at - SLACK_S and in_force <= at + within + SLACK_S:
+                return thing
+        span = f"between {seconds(at)} and {seconds(at + within)}"
+        lines = [f"  but {words}" for _, _, words, _ in candidates] or ["  but it never does"]
+        shown = self._around(at, at + within, expected)
+        title = f"what happened around {seconds(at)}:"
+        raise self._error([f"expected {span}: {expected}", *lines, "", title, *shown])
 
-    def _error(self, headline: str, rest: str) -> AssertionError:
-        first = {problem: time for time, problem in reversed(self.problems)}
-        unused = [
-            f"{seconds(first[one]):>11}  {one}" for one in sorted(first, key=first.__getitem__)
-        ]
-        told = ["", "what could not be used, the first time:", *_cut(unused)] if unused else []
-        return AssertionError("\n".join([headline, rest, *told]))
+    def _around(self, begin: float, end: float, expected: str) -> list[str]:
+        """Return the timeline near an interval [s], with the expectation in its place, as lines."""
+        before = [str(moment) for moment in self.timeline if moment.time < begin]
+        within = [str(moment) for moment in self.timeline if begin <= moment.time <= end]
+        after = [str(moment) for moment in self.timeline if moment.time > end]
+        place = f"{seconds(begin):>11}  EXPECTED  {expected}"
+        return [*before[-AROUND:], place, *_cut(within), *after[:AROUND]]
+
+    def _error(self, lines: Sequence[str]) -> AssertionError:
+        first: dict[DiagnosticProblem, float] = {}
+        for time, problem in self.problems:
+            first.setdefault(problem, time)
+        unused = [f"{seconds(time):>11}  {problem}" for problem, time in first.items()]
+        if unused:
+            lines = [*lines, "", "what could not be used, the first time:", *_cut(unused)]
+        return AssertionError("\n".join(lines))
 
 
 def seconds(time: float) -> str:
@@ -280,77 +298,47 @@ def seconds(time: float) -> str:
 
 def timeline(events: Iterable[Event], adaptations: Iterable[Adaptation]) -> tuple[Moment, ...]:
     """Return all events, in order, as moments, with the reasons of the adaptations."""
-    reasons = {(one.at_s, one.action): one.why for one in adaptations}
+    reasons = {(entry.at_s, entry.action): entry.why for entry in adaptations}
     moments = []
     for event in events:
-        if event.plan is not None:
-            plan = event.plan
+        plan = event.plan
+        if plan is not None:
             commanded = str(plan).partition("; note as ")[0]  # without what a plan only notes
             ending = "still open" if plan.end is None else f"{plan.result} at {seconds(plan.end)}"
             moments.append(Moment(event.time, "plan", f"{commanded}: {ending}", plan.reason))
         elif event.kind is EventKind.ACTION_UPDATE:
-            is_begun = event.verb == "request_action"
-            reason = reasons.get((event.time, event.subject), "") if is_begun else ""
+            reason = ""
+            if event.verb == "request_action":
+                reason = reasons.get((event.time, event.subject), "")
             moments.append(Moment(event.time, "action", event.text, reason))
-        elif not _is_our_own(event):
+        elif event.verb == "component_active":
+            if not event.arguments[1] and event.arguments[2]:  # else the plan's line says it
+                moments.append(Moment(event.time, "heard", event.text))
+        elif event.kind is not EventKind.RECORD:
             moments.append(Moment(event.time, "heard", event.text))
     return tuple(moments)
 
 
-def _around(moments: Sequence[Moment], begin: float, end: float, expected: str) -> str:
-    """Return the moments in an interval [s], a few before and after it, and the expectation in its place, as text."""
-    before = [one for one in moments if one.time < begin]
-    within = [one for one in moments if begin <= one.time <= end]
-    after = [one for one in moments if one.time > end]
-    shown = [*map(str, before[-AROUND:]), f"{seconds(begin):>11}  EXPECTED  {expected}"]
-    return "\n".join([*shown, *_cut([str(one) for one in within]), *map(str, after[:AROUND])])
-
-
 def _cut(lines: Sequence[str]) -> list[str]:
-    return [*lines[:MOST], *([f"... and {len(lines) - MOST} more"] if len(lines) > MOST else [])]
-
-
-def _is_our_own(event: Event) -> bool:
-    """Whether an event only notes what a plan has switched, which the line of the plan says already."""
-    if event.verb != "component_active":
-        return event.kind is EventKind.RECORD
-    _, is_active, reason = event.arguments
-    return is_active or not reason
-
-
-def _list(items: Iterable[str]) -> str:
-    return "\n".join(f"  but {item}" for item in items)
+    more = len(lines) - MOST
+    return [*lines[:MOST], *([f"... and {more} more"] if more > 0 else [])]
 
 
 def _names(names: Names) -> tuple[str, ...]:
     return (names,) if isinstance(names, str) else tuple(names)
 
 
-def _in_words(change: Adaptation) -> str:
-    never = math.isinf(change.in_force_s)
-    soon = "is never in force" if never else f"is in force at {seconds(change.in_force_s)}"
-    return f"{change.before} -> {change.action} is decided at {seconds(change.at_s)} and {soon} (because {change.why})"
+def _steps_of(plan: ReconfigurationPlan) -> list[tuple[str, str]]:
+    steps = [("activate", name) for name in plan.activate]
+    steps += [("deactivate", name) for name in plan.deactivate]
+    return steps + [("configure", name) for name in plan.parameters]
 
 
-def _done(plan: ReconfigurationPlan) -> dict[str, tuple[str, ...]]:
-    return {"activate": plan.activate, "deactivate": plan.deactivate, "configure": plan.parameters}
-
-
-def _in_force(plan: ReconfigurationPlan) -> float:
-    return plan.end if plan.result == "completed" and plan.end is not None else math.inf
-
-
-def _phrases(steps: Steps) -> list[str]:
-    return [f"{verb} {', '.join(names)}" for verb, names in steps]
-
-
-def _ended(plan: ReconfigurationPlan) -> str:
-    how = (
-        "is still open at the end"
-        if plan.end is None
-        else f"is {plan.result} at {seconds(plan.end)}"
-    )
-    return f"the plan of {seconds(plan.start)} {how} (because {plan.reason})"
+def _phrases(steps: Iterable[tuple[str, str]]) -> list[str]:
+    by_verb: dict[str, list[str]] = {}
+    for verb, name in steps:
+        by_verb.setdefault(verb, []).append(name)
+    return [f"{verb} {', '.join(names)}" for verb, names in by_verb.items()]
 
 
 # -------------------------------------------------------------------- replay
@@ -371,21 +359,27 @@ def replay(
     """Replay a recording, and return what is decided now.
 
     Args:
-        source: a recording, as `rosa run MISSION --record FILE` writes it, or written by hand; a rosbag2 with
-            diagnostics (MCAP or sqlite3), or one that was read already; or the messages themselves.
-        mission: the mission that decides, or its name; or, if a behaviour is given, only a model or a function that
-            makes one.
-        behaviour: makes a task layer that replaces the mission's, given the knowledge base and the percepts.
+        source: a recording, as `rosa run MISSION --record FILE` writes it, or written by hand; a
+            rosbag2 with diagnostics (MCAP or sqlite3), or one that was read already; or the
+            messages themselves.
+        mission: the mission that decides, or its name; or, if a behaviour is given, only a model or
+            a function that makes one.
+        behaviour: makes a task layer that replaces the mission's, given the knowledge base and the
+            percepts.
         task: the kind of the mission's task layer, "bt" or "pddl".
-        settings: of the run, by default those of the recording; it ends a second after the recording at the latest.
-        managed: the system that takes the commands, with its clock at 0; by default one that always obeys.
+        settings: of the run, by default those of the recording; it ends a second after the
+            recording at the latest.
+        managed: the system that takes the commands, with its clock at 0; by default one that always
+            obeys.
         watch: called with the run of the replay before it begins, e.g. to `listen` to it.
         traced: whether to keep the ticks of the tree, as `Decisions.trace`.
-        on_error: what a behaviour that raises does: "raise" ends the replay, "fail" is as on a robot.
+        on_error: what a behaviour that raises does: "raise" ends the replay, "fail" is as on a
+            robot.
 
     Raises:
-        MissionError: a behaviour raises; the recording cannot be read; there is no such mission, task layer or behaviour; or a part of a
-            message cannot be used, if the messages themselves are given (of a recording it is in `problems`).
+        MissionError: a behaviour raises; the recording cannot be read; there is no such mission,
+            task layer or behaviour; or a part of a message cannot be used, if the messages
+            themselves are given (of a recording it is in `problems`).
         kb.UnknownName: a script names a component that the model does not have.
     """
     messages = _messages_of(source)
@@ -394,24 +388,22 @@ def replay(
     end_s = max((message["time"] for message in messages), default=0.0) + AFTERMATH_S
     with blamed(lambda: "what the recording says of how it was run cannot be used"):
         takes_s = recorded.get("switching_s", {})
-        world.managed.follow(
-            recorded.get("commands", ()), {verb: takes_s.get(verb, SWITCHING_S) for verb in VERBS}
-        )
-        as_recorded = {"duration_s": end_s, **recorded.get("settings", {})}
-        limits = settings or RunSettings.read(
-            {name: str(value) for name, value in as_recorded.items()}
-        )
+        usual_s = {verb: takes_s.get(verb, SWITCHING_S) for verb in VERBS}
+        world.managed.follow(recorded.get("commands", ()), usual_s)
+        values = {"duration_s": end_s, **recorded.get("settings", {})}
+        texts = {name: str(value) for name, value in values.items()}
+        limits = settings or RunSettings.read(texts)
     limits = replace(limits, duration_s=min(limits.duration_s, end_s))
     kind = "bt" if behaviour else task
-    run = RosaRun(_asked(mission, behaviour), kind, world, limits, on_error=on_error)
+    run = RosaRun(_mission_of(mission, behaviour), kind, world, limits, on_error=on_error)
     if watch is not None:
         watch(run)
-    decisions = _decided(run, world, traced=traced)
+    for component in world.managed.scripted:
+        _ = run.kb.components[component]  # raises if there is none: the script is a mistake
+    decisions = _decide(run, world, traced=traced)
     if decisions.problems and not isinstance(source, str | Path | Bag):
-        found = "".join(
-            f"\n  at {seconds(time)}: {problem}" for time, problem in decisions.problems
-        )
-        raise MissionError(f"the messages cannot be used as they are:{found}")
+        lines = [f"\n  at {seconds(time)}: {problem}" for time, problem in decisions.problems]
+        raise MissionError(f"the messages cannot be used as they are:{''.join(lines)}")
     return decisions
 
 
@@ -423,15 +415,16 @@ class Recording(World):
 
     def __init__(self, messages: Iterable[Message], managed: ScriptedManaged) -> None:
         if managed.clock.now != 0.0:
+            now = f"{managed.clock.now:g} s"
             raise MissionError(
-                f"a replay begins at 0 s, not at {managed.clock.now:g} s; hand in a new managed system"
+                f"a replay begins at 0 s, not at {now}; hand in a new managed system"
             )
-        self.unheard, self._managed = deque(messages), managed
-        self._now = 0.0
+        self.unheard = deque(messages)
+        self._managed = managed
 
     @property
     def now(self) -> float:
-        return self._now
+        return self._managed.clock.now
 
     @property
     def managed(self) -> ScriptedManaged:
@@ -439,13 +432,12 @@ class Recording(World):
 
     def advance(self, until: float) -> list[Message]:
         """Go on to the next message or end of a command, at most until `until` [s]."""
-        unheard = self.unheard
-        following = unheard[0]["time"] if unheard else math.inf
-        now = max(self._now, min(until, following, self._managed.next_event()))
-        self._now = self._managed.clock.advance_to(now)
+        following = self.unheard[0]["time"] if self.unheard else inf
+        now = max(self.now, min(until, following, self._managed.next_event()))
+        self._managed.clock.advance_to(now)
         heard = []
-        while unheard and unheard[0]["time"] <= now:
-            heard.append(unheard.popleft())
+        while self.unheard and self.unheard[0]["time"] <= now:
+            heard.append(self.unheard.popleft())
         return heard
 
 
@@ -461,28 +453,26 @@ class _Nowhere(WorldKind):
         return Verdict("replayed", "")
 
 
-def _asked(
-    mission: Mission | Model | Callable[[], Model] | str, behaviour: TaskFactory | None
+def _mission_of(
+    source: Mission | Model | Callable[[], Model] | str, behaviour: TaskFactory | None
 ) -> Mission:
+    """Return the mission that decides, with the behaviour as its tree."""
     if behaviour is not None and (isinstance(behaviour, Behaviour) or not callable(behaviour)):
-        raise MissionError(
-            f"what decides is made for each replay: lambda kb, percepts: ..., not {behaviour!r}"
-        )
-    wanted = find_mission(mission) if isinstance(mission, str) else mission
-    if not isinstance(wanted, Mission | Model) and not callable(wanted):
-        raise MissionError(
-            f"what is replayed to is a mission, its name, a model or what makes one, not {wanted!r}"
-        )
-    if not isinstance(wanted, Mission):
-        model = (
-            wanted if isinstance(wanted, Model) else built("the model to replay to", Model, wanted)
-        )
-        if behaviour is None:
-            raise MissionError(
-                f"the model {model.name} decides nothing by itself; replay(source, model, behaviour)"
-            )
-        return Mission(model.name, "", lambda: model, behaviour, _Nowhere())
-    return replace(wanted, tree=behaviour or wanted.tree)
+        title = "what decides is made for each replay: lambda kb, percepts: ..."
+        raise MissionError(f"{title}, not {behaviour!r}")
+    mission = find_mission(source) if isinstance(source, str) else source
+    if isinstance(mission, Mission):
+        return replace(mission, tree=behaviour or mission.tree)
+    if not isinstance(mission, Model) and not callable(mission):
+        title = "what is replayed to is a mission, its name, a model or what makes one"
+        raise MissionError(f"{title}, not {mission!r}")
+    model = (
+        mission if isinstance(mission, Model) else built("the model to replay to", Model, mission)
+    )
+    if behaviour is None:
+        hint = "replay(source, model, behaviour)"
+        raise MissionError(f"the model {model.name} decides nothing by itself; {hint}")
+    return Mission(model.name, "", lambda: model, behaviour, _Nowhere())
 
 
 def _messages_of(source: str | Path | Bag | Iterable[Message]) -> list[Message]:
@@ -493,34 +483,33 @@ def _messages_of(source: str | Path | Bag | Iterable[Message]) -> list[Message]:
     return [source.header(), *source.messages] if source.run else source.messages
 
 
-def _decided(run: RosaRun, world: Recording, *, traced: bool) -> Decisions:
-    for component in world.managed.scripted:
-        _ = run.kb.components[component]  # raises if there is none: the script is a mistake
+def _decide(run: RosaRun, world: Recording, *, traced: bool) -> Decisions:
     events: list[Event] = []
     run.kb.log.witnesses += (events.append,)
+    trace = Trace(run.kb.model.name, ())
     with TraceVisitor(run.kb) if traced else nullcontext() as visitor:
         if visitor is not None:
             run.tree.add_visitor(visitor)
         verdict = run.run()
-        trace = Trace(run.kb.model.name, ()) if visitor is None else visitor.trace
-    moments = list(timeline(events, run.adaptations))
+        if visitor is not None:
+            trace = visitor.trace
+    moments = timeline(events, run.adaptations)
     if world.unheard:
-        is_late = world.now >= run.settings.duration_s
-        how = "aborted" if verdict.outcome == "aborted" else "time limit" if is_late else "SUCCESS"
-        count = f"{len(world.unheard)} message{'s were' if len(world.unheard) > 1 else ' was'} not heard"
-        moments.append(Moment(world.now, "end", f"the mission ended ({how}); {count}"))
+        ending = "time limit" if world.now >= run.settings.duration_s else "SUCCESS"
+        ending = verdict.outcome if verdict.outcome == "aborted" else ending
+        plural = "s were" if len(world.unheard) > 1 else " was"
+        text = f"the mission ended ({ending}); {len(world.unheard)} message{plural} not heard"
+        moments += (Moment(world.now, "end", text),)
     return Decisions(
-        actions=tuple(
-            (one.action, one.start, one.end, one.result) for one in run.kb.history.actions
-        ),
-        plans=run.kb.plans,
-        adaptations=tuple(run.adaptations),
-        task_plans=run.plans,
-        problems=tuple(run.problems),
-        timeline=tuple(moments),
-        trace=trace,
-        events=tuple(events),
-        kb=run.kb,
+        tuple((record.action, record.start, record.end, record.result) for record in run.actions),
+        run.kb.plans,
+        tuple(run.adaptations),
+        run.plans,
+        tuple(run.problems),
+        moments,
+        trace,
+        tuple(events),
+        run.kb,
     )
 
 
@@ -528,7 +517,10 @@ def _decided(run: RosaRun, world: Recording, *, traced: bool) -> Decisions:
 
 
 def golden_path(test_file: Path, test: str, name: str = "") -> Path:
-    """Return the path of a test's golden trace, in a folder beside its file; `name` if a test has several."""
+    """Return the path of a test's golden trace, in a folder beside its file.
+
+    `name` if a test has several.
+    """
     words = (
         re.sub(r"[^\w\-]+", "_", part).strip("_") for part in (test_file.stem, test, name) if part
     )
@@ -536,16 +528,20 @@ def golden_path(test_file: Path, test: str, name: str = "") -> Path:
 
 
 def check_golden(trace: Trace, path: Path, *, update: bool, command: str) -> bool:
-    """Compare a trace with the golden one; with `update`, write it if it differs. Return whether it was written.
+    """Compare a trace with the golden one; with `update`, write it if it differs.
+
+    Return whether it was written.
 
     Raises:
-        AssertionError: it differs or is missing; the message shows how, and the command that writes it.
+        AssertionError: it differs or is missing; the message shows how, and the command that writes
+            it.
         rosa_bt.TraceError: the file is no trace.
     """
     __tracebackhide__ = True
     if not isinstance(trace, Trace):
         raise TypeError(
-            f"a golden trace is a rosa_bt.Trace, such as decisions.trace, not a {type(trace).__name__}"
+            "a golden trace is a rosa_bt.Trace, such as decisions.trace, "
+            f"not a {type(trace).__name__}"
         )
     text = str(trace)
     if path.exists() and path.read_text(encoding="utf-8") == text:
@@ -556,10 +552,13 @@ def check_golden(trace: Trace, path: Path, *, update: bool, command: str) -> boo
         return True
     now = list(readable(trace))
     if not path.exists():
-        what, how, shown = "there is no golden trace", "write", now
+        what = "there is no golden trace"
+        how = "write"
+        shown = now
     else:
         golden = list(readable(read_trace(path)))
-        what, how = "not as in the golden trace", "update"
+        what = "not as in the golden trace"
+        how = "update"
         shown = list(unified_diff(golden, now, "golden", "now", lineterm="", n=4))
     lines = "\n".join(_cut(shown))
     raise AssertionError(
@@ -568,7 +567,7 @@ def check_golden(trace: Trace, path: Path, *, update: bool, command: str) -> boo
 
 
 def readable(trace: Trace) -> Iterator[str]:
-    """Yield a trace as lines for people: for each tick with news, the events, the nodes ticked and the decisions."""
+    """Yield a trace as lines for people: for each tick with news, what changed in it."""
     yield f"model {trace.model}"
     before = None
     for tick in trace.ticks:

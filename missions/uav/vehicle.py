@@ -1,7 +1,9 @@
-"""The quadrotor, simulated by MuJoCo, its controller, and the constants of vehicle and field, each with its source.
+"""The quadrotor, simulated by MuJoCo, its controller, and the constants with sources.
 
-The controller is the usual cascade: position error to velocity, velocity error to acceleration, its direction to the
-tilt of the mast, tilt error to body rates, rate error to torques; the mixer turns torques into thrusts.
+The controller is the usual cascade: position error to velocity, velocity error to acceleration, its
+    direction to the
+tilt of the mast, tilt error to body rates, rate error to torques; the mixer turns torques into
+thrusts.
 """
 
 import logging
@@ -22,7 +24,10 @@ _SCENARIO: Final = "own choice, so that the paper's three scenarios occur"
 
 @dataclass(frozen=True, slots=True)
 class Settings(Constants):
-    """The constants; frozen. World frame ENU, z up, ground at z = 0, base at the origin; times since the start."""
+    """The constants; frozen. World frame ENU, z up, ground at z = 0, base at the origin.
+
+    Times since the start.
+    """
 
     # What happens
     samples: float = setting(
@@ -103,7 +108,7 @@ POSITION_GAIN: Final = 1.0  # [1/s]
 VELOCITY_GAIN: Final = 3.0  # [1/s]
 TILT_GAIN: Final = 8.0  # [1/s]
 RATE_GAIN: Final = 25.0  # [1/s]
-_STIFFNESS: Final = tuple(one * RATE_GAIN for one in INERTIA)
+_STIFFNESS: Final = tuple(inertia * RATE_GAIN for inertia in INERTIA)
 YAW_GAIN: Final = 2.0  # [1/s]
 SIDEWAYS_M_S2: Final = 4.0  # largest horizontal acceleration that the controller wants
 VERTICAL_M_S2: Final = 4.0  # the same, upwards; downwards it is half of gravity
@@ -114,7 +119,8 @@ def velocity_wanted(position: Vector, target: Vector, speed: float, climb: float
 
     Limits: `speed` is horizontal, `climb` vertical [m/s].
     """
-    x, y = POSITION_GAIN * (target[0] - position[0]), POSITION_GAIN * (target[1] - position[1])
+    x = POSITION_GAIN * (target[0] - position[0])
+    y = POSITION_GAIN * (target[1] - position[1])
     z = POSITION_GAIN * (target[2] - position[2])
     far = math.hypot(x, y)
     scale = speed / far if far > speed else 1.0
@@ -130,7 +136,8 @@ def wanted_force(error: Vector, trim: Vector, mass: float, gravity: float) -> Ve
         mass: of the vehicle [kg].
         gravity: [m/s2].
     """
-    x, y = VELOCITY_GAIN * error[0] + trim[0], VELOCITY_GAIN * error[1] + trim[1]
+    x = VELOCITY_GAIN * error[0] + trim[0]
+    y = VELOCITY_GAIN * error[1] + trim[1]
     z = VELOCITY_GAIN * error[2] + trim[2]
     push = math.hypot(x, y)
     scale = SIDEWAYS_M_S2 / push if push > SIDEWAYS_M_S2 else 1.0
@@ -139,7 +146,7 @@ def wanted_force(error: Vector, trim: Vector, mass: float, gravity: float) -> Ve
 
 
 def attitude(quaternion: Sequence[float], rates: Vector, force: Vector) -> tuple[float, Vector]:
-    """Return the thrust [N] along the mast, and the torques [N m], body frame, that turn the mast towards a force.
+    """Return thrust [N] and torques [N m], body frame, that turn the mast towards a force.
 
     The torques also turn the nose to the east.
 
@@ -162,8 +169,10 @@ def attitude(quaternion: Sequence[float], rates: Vector, force: Vector) -> tuple
     left = (
         2 * (i * j - w * k) * east + (1 - 2 * (i * i + k * k)) * north + 2 * (j * k + w * i) * up
     ) / size
-    # the turn from the mast (0, 0, 1) to the wanted direction, body frame; its sine, or 1 beyond a right angle
-    turn_x, turn_y = -left, forward
+    # the turn from the mast (0, 0, 1) to the wanted direction, body frame; its sine, or 1 beyond a
+    # right angle
+    turn_x = -left
+    turn_y = forward
     if thrust <= 0.0:
         sine = math.hypot(left, forward)
         turn_x, turn_y = (-left / sine, forward / sine) if sine > 0 else (1.0, 0.0)
@@ -175,19 +184,22 @@ def attitude(quaternion: Sequence[float], rates: Vector, force: Vector) -> tuple
 
 
 def mixed(thrust: float, torques: Vector, limit: float) -> list[float]:
-    """Return the thrust of each rotor (4,), 0 to the limit [N], for a whole thrust [N] and torques [N m], body frame.
+    """Return each rotor's thrust (4,) [N] for a whole thrust [N] and torques [N m], body frame.
 
-    If a rotor cannot give its thrust, lift is reduced before tilt: a vehicle that stays upright can fly on.
+    If a rotor cannot give its thrust, lift is reduced before tilt: a vehicle that stays upright can
+        fly on.
     """
-    x, y, z = torques[0] / _ARMS_M, torques[1] / _ARMS_M, torques[2] / _REACTIONS_M
+    x = torques[0] / _ARMS_M
+    y = torques[1] / _ARMS_M
+    z = torques[2] / _REACTIONS_M
     z = _within(z, 0.1 * limit)  # heading matters least
     turning = (x - y + z, x + y - z, -x + y + z, -x - y - z)
     even = max(-min(turning), min(limit - max(turning), thrust / 4))
-    wanted = [even + one for one in turning]
+    wanted = [even + share for share in turning]
     return (
         wanted
         if min(wanted) >= 0.0 and max(wanted) <= limit
-        else [max(0.0, min(limit, one)) for one in wanted]
+        else [max(0.0, min(limit, thrust)) for thrust in wanted]
     )
 
 
@@ -209,7 +221,9 @@ TOUCH_M, TOUCH_M_S = 0.03, 0.2  # lower and slower than this, it stands
 
 
 class Quadrotor:
-    """A rigid body with four rotors, an arm that folds, and a load; drag is linear in the speed through the air.
+    """A rigid body with four rotors, an arm that folds, and a load.
+
+    Drag is linear in the speed through the air.
 
     Args:
         wind: (x, y) [m/s], world frame.
@@ -228,14 +242,14 @@ class Quadrotor:
         mujoco.set_mju_user_warning(
             _log.debug
         )  # its own handler prints, and writes a file into the working directory
-        self._settings, self._step_s, self._advance = (
-            settings,
-            SUBSTEPS * settings.physics_step_s,
-            mujoco.mj_step,
-        )
+        self._settings = settings
+        self._step_s = SUBSTEPS * settings.physics_step_s
+        self._advance = mujoco.mj_step
         self.model: Any = _compiled(mujoco, settings)
         self.data: Any = mujoco.MjData(self.model)
-        self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
+        self._qpos = self.data.qpos
+        self._qvel = self.data.qvel
+        self._ctrl = self.data.ctrl
         self._mass = float(self.model.body_subtreemass[0])
         self.data.qfrc_applied[:2] = settings.drag * wind[0], settings.drag * wind[1]
         area = math.pi * settings.rotor_radius_m**2
@@ -243,28 +257,33 @@ class Quadrotor:
         self._target: Vector | None = None
         self._lands = False
         self._trim = (0.0, 0.0, 0.0)
-        self._arm, self._arm_wanted = 0.0, 0.0
+        self._arm = 0.0
+        self._arm_wanted = 0.0
         self.position: Vector = (0.0, 0.0, ON_GROUND_M)
         self.velocity: Vector = (0.0, 0.0, 0.0)
-        self._turned, self._rates = self._qpos[3:7].tolist(), self.velocity
+        self._turned = self._qpos[3:7].tolist()
+        self._rates = self.velocity
         self.is_landed = True
         self.rotor_w = 0.0
         self.has_power = True
 
     def go_to(self, target: Vector) -> None:
         """Fly to a place [m], world frame; at travelling height unless the place is near."""
-        self._target, self._lands = target, False
+        self._target = target
+        self._lands = False
 
     def hold(self) -> None:
         """Hover at the present position; on the ground, stay there."""
-        self._target, self._lands = (None if self.is_landed else self.position), False
+        self._target = None if self.is_landed else self.position
+        self._lands = False
 
     def land(self, at: tuple[float, float] | None = None) -> None:
         """Land at (x, y) [m], world frame, or right below; rotors stop on the ground."""
         if self.is_landed and at is None:
             return
         x, y = at or self.position[:2]
-        self._target, self._lands = (x, y, 0.0), True
+        self._target = (x, y, 0.0)
+        self._lands = True
 
     def fold(self, is_folded: bool) -> None:
         self._arm_wanted = 0.0 if is_folded else math.pi / 2
@@ -301,7 +320,8 @@ class Quadrotor:
         if self._arm != self._arm_wanted:
             turn = math.pi / 2 / self._settings.fold_s * self._step_s
             self._arm += max(-turn, min(turn, self._arm_wanted - self._arm))
-        self._ctrl[:4], self._ctrl[4] = thrusts, self._arm
+        self._ctrl[:4] = thrusts
+        self._ctrl[4] = self._arm
         self._advance(self.model, self.data, SUBSTEPS)
         a, b, c, d = thrusts
         self.rotor_w = self._watts * (
@@ -309,19 +329,18 @@ class Quadrotor:
         )
         x, y, z, a, b, c, d, *_ = self._qpos.tolist()
         u, v, w, roll, pitch, yaw, *_ = self._qvel.tolist()
-        self.position, self.velocity, self._turned, self._rates = (
-            (x, y, z),
-            (u, v, w),
-            (a, b, c, d),
-            (roll, pitch, yaw),
-        )
+        self.position = (x, y, z)
+        self.velocity = (u, v, w)
+        self._turned = (a, b, c, d)
+        self._rates = (roll, pitch, yaw)
         self.is_landed = z - ON_GROUND_M < TOUCH_M and self._touches_down(thrusts)
 
     def _touches_down(self, thrusts: list[float]) -> bool:
         here = self.position[:2]
         is_above = math.dist(here, (self._target or here)[:2]) < STRAIGHT_M
         if self._lands and is_above and math.hypot(*self.velocity) < TOUCH_M_S:
-            self._target, self._lands = None, False
+            self._target = None
+            self._lands = False
             self._trim = (0.0, 0.0, 0.0)
         return self._target is None and not any(thrusts)
 
@@ -332,10 +351,10 @@ class Quadrotor:
         )
         error = (east - u, north - v, up - w)
         moved = [
-            one + TRIM_GAIN * _within(off, 1.0) * step_s
-            for one, off in zip(self._trim, error, strict=True)
+            trim + TRIM_GAIN * _within(off, 1.0) * step_s
+            for trim, off in zip(self._trim, error, strict=True)
         ]
-        x, y, z = [_within(one, TRIM_LIMIT) for one in moved]
+        x, y, z = [_within(trim, TRIM_LIMIT) for trim in moved]
         self._trim = trim = (x, y, z)
         force = wanted_force(error, trim, self._mass, settings.gravity_m_s2)
         return mixed(*attitude(self._turned, self._rates, force), settings.rotor_limit_n)

@@ -1,6 +1,7 @@
 """The field in which samples lie, and the components of the vehicle that flies over it.
 
-Each component acts 10 times a second while it is active. When a component that moves the vehicle stops, the vehicle
+Each component acts 10 times a second while it is active. When a component that moves the vehicle
+stops, the vehicle
 hovers where it is: the safe state between two actions.
 """
 
@@ -33,7 +34,7 @@ PERIOD_S: Final = 0.1  # period of the components
 GRIP_M: Final = 0.12  # height of the legs from which the gripper reaches the ground
 LIFT_M: Final = 2.5  # height at which a held sample is analysed
 LOOK_M: Final = 2.0  # height from which the infra-red camera looks
-FOLDED_RAD: Final = 0.15  # out of the camera's view; it counts as folded at half of this, for a margin against gusts
+FOLDED_RAD: Final = 0.15  # out of the camera's view; folded at half of this, for gusts
 FULL: Final = 0.99
 MOVERS: Final = (
     "search_planner",
@@ -66,9 +67,10 @@ class Sample:
 class UavWorld(mission.World):
     """The vehicle over its field, and the state that its components share.
 
-    Time moves only in `advance`; the same settings and seed give the same floats. Random are the places of the samples,
-    the wind, the phase of the battery monitor, and the jam. The field consists of lanes along the x axis; samples lie
-    in two patches, and the middle third of the lanes has none.
+    Time moves only in `advance`; the same settings and seed give the same floats. Random are the
+    places of the samples, the wind, the phase of the battery monitor, and the jam. The field
+    consists of lanes along the x axis; samples lie in two patches, and the middle third of the
+    lanes has none.
 
     Attributes:
         level: charge of the battery, 0 to 1.
@@ -84,17 +86,20 @@ class UavWorld(mission.World):
     now = 0.0
 
     def __init__(self, settings: Settings, rng: Generator) -> None:
-        self.settings, self.rng = settings, rng
-        bearing, self._battery_due = (
-            rng.uniform(0, 2 * pi),
-            float(rng.uniform(0, settings.battery_period_s)),
-        )
+        self.settings = settings
+        self.rng = rng
+        bearing = rng.uniform(0, 2 * pi)
+        self._battery_due = float(rng.uniform(0, settings.battery_period_s))
         self.vehicle = Quadrotor(
             settings, (settings.wind_m_s * cos(bearing), settings.wind_m_s * sin(bearing))
         )
-        self._steps, self._step_s, self._nodes_due = 0, SUBSTEPS * settings.physics_step_s, 0.0
-        self._flown_m, self._least = 0.0, 1.0
-        self.level, self.jams_s = 1.0, inf
+        self._steps = 0
+        self._step_s = SUBSTEPS * settings.physics_step_s
+        self._nodes_due = 0.0
+        self._flown_m = 0.0
+        self._least = 1.0
+        self.level = 1.0
+        self.jams_s = inf
         self.target: Sample | None = None
         self.held: Sample | None = None
         self.is_jammed = self.is_charging = False
@@ -102,8 +107,9 @@ class UavWorld(mission.World):
         self.qualities: list[float] = []
         self.messages: list[Message] = []
         self._happened: list[tuple[float, str]] = []
-        every, count = int(settings.lanes), int(settings.samples)
-        lanes = [one for one in range(every) if not every // 3 <= one < every - every // 3]
+        every = int(settings.lanes)
+        count = int(settings.samples)
+        lanes = [index for index in range(every) if not every // 3 <= index < every - every // 3]
         places = [self._place(lanes[number * len(lanes) // count]) for number in range(count)]
         self.samples = [
             Sample(f"sample_{number}", place) for number, place in enumerate(places, start=1)
@@ -112,7 +118,7 @@ class UavWorld(mission.World):
             f"sample_{count + 1}", self._place(lanes[0]), settings.added_s, is_reported=True
         )
         self.samples += [added] if settings.added_s > 0 else []
-        self._places = {one.name: [one.place] for one in self.samples}
+        self._places = {sample.name: [sample.place] for sample in self.samples}
         self._nodes = Nodes(self)
         takes = {"activate": settings.activation_s, "deactivate": settings.deactivation_s}
         self._managed = SimulatedComponents(lambda: self.now, self._nodes, takes)
@@ -141,10 +147,8 @@ class UavWorld(mission.World):
         return (lane + 0.5) * self.settings.lane_m
 
     def _place(self, lane: int) -> tuple[float, float]:
-        x, off = (
-            self.rng.uniform(0.1, 0.95) * self.settings.field_x_m,
-            self.rng.uniform(-OFF_LANE_M, OFF_LANE_M),
-        )
+        x = self.rng.uniform(0.1, 0.95) * self.settings.field_x_m
+        off = self.rng.uniform(-OFF_LANE_M, OFF_LANE_M)
         return float(x), self._lane_y(lane) + float(off)
 
     @property
@@ -160,23 +164,25 @@ class UavWorld(mission.World):
 
     def want(self) -> None:
         """Mark and publish the samples that are wanted from now on."""
-        for one in [one for one in self.samples if not one.is_wanted and one.wanted_s <= self.now]:
-            one.is_wanted = True
-            self.say(f"{one.name}_wanted")
-            if one.is_reported:
-                one.is_found = True
-                self.disturb(f"an operator reports {one.name}")
-                self.say(f"{one.name}_found")
+        for sample in self.samples:
+            if sample.is_wanted or sample.wanted_s > self.now:
+                continue
+            sample.is_wanted = True
+            self.say(f"{sample.name}_wanted")
+            if sample.is_reported:
+                sample.is_found = True
+                self.disturb(f"an operator reports {sample.name}")
+                self.say(f"{sample.name}_found")
 
     def aim(self) -> None:
         """Choose the next target if there is none: reported ones first, then the nearest."""
         if self.target is not None:
             return
         place = self.vehicle.position[:2]
-        waiting = [one for one in self.samples if one.is_found and one.quality is None]
+        waiting = [sample for sample in self.samples if sample.is_found and sample.quality is None]
         if waiting:
             self.target = min(
-                waiting, key=lambda one: (not one.is_reported, dist(one.place, place))
+                waiting, key=lambda sample: (not sample.is_reported, dist(sample.place, place))
             )
             self.say(f"{self.target.name}_target")
 
@@ -192,7 +198,8 @@ class UavWorld(mission.World):
     def let_go(self) -> None:
         """Drop the held sample, if any; it lies where it falls."""
         if self.held is not None:
-            self.held.place, self.held = self.vehicle.position[:2], None
+            self.held.place = self.vehicle.position[:2]
+            self.held = None
             self.vehicle.carry(0.0)
 
     def analysed(self, quality: float) -> None:
@@ -214,8 +221,9 @@ class UavWorld(mission.World):
             is_changed = self._managed.catch_up() or bool(self.messages)
         if not is_changed:
             self.now = until
-        said, self.messages = self.messages, []
-        return said
+        messages = self.messages
+        self.messages = []
+        return messages
 
     def _step(self) -> None:
         before = self.vehicle.position
@@ -232,8 +240,10 @@ class UavWorld(mission.World):
             self.publish("QA measurement", "battery_level", repr(self.level))
 
     def _drain(self) -> None:
-        """Charge and discharge the battery for one step, and record each level that the charge falls below."""
-        settings, before, step_s = self.settings, self.level, self._step_s
+        """Charge and discharge the battery for one step; record each level that it falls below."""
+        settings = self.settings
+        before = self.level
+        step_s = self._step_s
         watts = self.vehicle.rotor_w + settings.avionics_w + self._nodes.watts
         gained = step_s / settings.charge_s if self.is_charging else 0.0
         level = before + gained - watts * step_s / settings.capacity_j
@@ -250,16 +260,16 @@ class UavWorld(mission.World):
 
     @property
     def is_still(self) -> bool:
-        """Whether nothing more can happen: the battery is empty, and all samples are wanted already."""
+        """Whether nothing more can happen: the battery is empty, and all samples are wanted."""
         return not (self.vehicle.has_power or self.is_charging) and all(
-            one.is_wanted for one in self.samples
+            sample.is_wanted for sample in self.samples
         )
 
     def results(self) -> dict[str, float | None]:
         return {
             "analysed_samples": float(len(self.qualities)),
             "quality_points": sum(self.qualities),
-            "wanted_samples": float(sum(one.is_wanted for one in self.samples)),
+            "wanted_samples": float(sum(sample.is_wanted for sample in self.samples)),
             "lifted_samples": float(self.pick_ups),
             "recharged_times": float(self.recharges),
             "flown_m": self._flown_m,
@@ -294,7 +304,9 @@ class Nodes(NamedComponents):
 
     def __init__(self, robot: UavWorld) -> None:
         super().__init__()
-        self._robot, self._ahead, half_w = robot, robot.path, robot.settings.pick_up_w / 2
+        self._robot = robot
+        self._ahead = robot.path
+        half_w = robot.settings.pick_up_w / 2
         self._acts: dict[str, Callable[[], None]] = {
             "search_planner": self._search,
             "sample_camera": self._see_samples,
@@ -325,7 +337,7 @@ class Nodes(NamedComponents):
                 act()
 
     def check(self, component: str, parameters: Parameters, /) -> None:
-        """Raise MissionError unless the component exists and no parameters are given: none has any."""
+        """Raise MissionError unless the component exists; none has parameters."""
         if component not in self._acts or parameters:
             known = f"there are {', '.join(self._acts)}, which have no parameters"
             raise MissionError(
@@ -364,7 +376,10 @@ class Nodes(NamedComponents):
         self.watts = sum([watts for name, watts in self._powers_w.items() if name in self.active])
 
     def _worked(self, component: str, works: bool) -> float:
-        """Return how long a component has worked without a break [s]; `works` tells whether it does in this period."""
+        """Return how long a component has worked without a break [s].
+
+        `works` tells whether it does in this period.
+        """
         self._worked_s[component] = self._worked_s[component] + PERIOD_S if works else 0.0
         return self._worked_s[component]
 
@@ -376,26 +391,33 @@ class Nodes(NamedComponents):
             self._ahead = self._ahead[1:] or robot.path
 
     def _see_samples(self) -> None:
-        """Find the samples within the camera's circle below, whose radius grows with the altitude."""
-        robot, vehicle = self._robot, self._robot.vehicle
+        """Find the samples in the camera's circle below, whose radius grows with altitude."""
+        robot = self._robot
+        vehicle = self._robot.vehicle
         radius = vehicle.altitude * tan(robot.settings.half_view_rad)
-        for one in robot.samples:
+        for sample in robot.samples:
             if (
-                not (one.is_found or one.is_reported)
-                and dist(one.place, vehicle.position[:2]) <= radius
+                not (sample.is_found or sample.is_reported)
+                and dist(sample.place, vehicle.position[:2]) <= radius
             ):
-                one.is_found = True
-                robot.say(f"{one.name}_found")
+                sample.is_found = True
+                robot.say(f"{sample.name}_found")
 
     def _pick_up(self) -> None:
         """Fly down to the target, and up again once it is in the gripper."""
         self._robot.approach(GRIP_M if self._robot.held is None else LIFT_M)
 
     def _grip(self) -> None:
-        """Grip the target when it is within reach; a worn gripper jams while it lifts, and drops the sample."""
-        robot, target, settings = self._robot, self._robot.target, self._robot.settings
+        """Grip the target when it is within reach.
+
+        A worn gripper jams while it lifts, and drops the sample.
+        """
+        robot = self._robot
+        target = self._robot.target
+        settings = self._robot.settings
         if robot.held is not None and robot.now >= robot.jams_s:
-            robot.is_jammed, robot.jams_s = True, inf
+            robot.is_jammed = True
+            robot.jams_s = inf
             robot.let_go()
             robot.disturb("the gripper jammed")
             robot.publish("component status", "gripper", "FALSE")
@@ -421,7 +443,9 @@ class Nodes(NamedComponents):
 
     def _look(self) -> None:
         """Analyse the target from above; an unfolded gripper would block the view."""
-        robot, target, settings = self._robot, self._robot.target, self._robot.settings
+        robot = self._robot
+        target = self._robot.target
+        settings = self._robot.settings
         sees = target is not None and robot.vehicle.is_near(robot.over(target, LOOK_M), 0.4)
         if (
             self._worked("infrared_camera", sees and robot.vehicle.arm_rad < FOLDED_RAD)
@@ -430,12 +454,15 @@ class Nodes(NamedComponents):
             robot.analysed(settings.infrared_quality)
 
     def _return(self) -> None:
-        """Land at the base, which is the origin, and charge; while the battery is full, report this every period.
+        """Land at the base, which is the origin, and charge.
 
-        So an action that begins with a full battery receives the report too. The level is published with it, so that
-        nothing is decided by an older measurement.
+        While the battery is full, report this every period.
+
+        So an action that begins with a full battery receives the report too. The level is published
+        with it, so that nothing is decided by an older measurement.
         """
-        robot, vehicle = self._robot, self._robot.vehicle
+        robot = self._robot
+        vehicle = self._robot.vehicle
         if not (vehicle.is_landed and hypot(*vehicle.position[:2]) < 1.0):
             vehicle.land((0.0, 0.0))
             return
@@ -467,7 +494,8 @@ class _SkyKind(WorldKind):
         self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase
     ) -> Verdict:
         """Judge by the goal: all wanted samples are analysed, and the battery never ran empty."""
-        done, wanted = analysed(percepts), results.get("wanted_samples") or 0
+        done = analysed(percepts)
+        wanted = results.get("wanted_samples") or 0
         if percepts.holds("battery_empty"):
             return Verdict(
                 "aborted", f"the battery ran empty, {done} of {wanted:g} samples were analysed"

@@ -15,10 +15,9 @@ from kb.views import AttributeView
 from missions.engine.mission import MissionError, Percepts
 from missions.wires import ros
 from missions.wires.actions import connect
-from missions.wires.components import RosComponents
+from missions.wires.components import BridgeSettings, RosComponents
 from missions.wires.node import NONSENSE, Message, Node, Refusals
 from missions.wires.services import LOG, RosaServices
-from missions.wires.settings import BridgeSettings
 
 __all__ = ["Bridge", "BridgeSettings", "SimulatedClock"]
 

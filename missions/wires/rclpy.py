@@ -54,13 +54,13 @@ class Messages(Library):
         """Return the class of a message, service or action, or of a part, e.g. TYPE_Request."""
         try:
             package, folder, name = kind.split("/")
-            found = import_module(f"{package}.{folder}")
+            named = import_module(f"{package}.{folder}")
             for part in name.split("_"):
-                found = getattr(found, part)
+                named = getattr(named, part)
         except (ImportError, AttributeError, ValueError) as error:
             advice = "source the workspace that has it"
             raise RosError(f"the type {kind!r} is not installed ({error}); {advice}") from None
-        return found
+        return named
 
 
 def _field(text: str) -> Field:
@@ -223,7 +223,9 @@ class RclpyNode(Node):
     def publishers(self, topic: str) -> int:
         return len(self._node.get_publishers_info_by_topic(topic))
 
-    def _partner(self, place: str, kind: str, create: Callable[..., Any], *more: object) -> Any:  # noqa: ANN401  # an object of rclpy
+    def _partner(  # an object of rclpy
+        self, place: str, kind: str, create: Callable[..., Any], *more: object
+    ) -> Any:  # noqa: ANN401
         """Return a publisher or a client; it is made when it is first needed."""
         with self._lock:
             if place not in self._partners:

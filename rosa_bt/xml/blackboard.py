@@ -1,4 +1,4 @@
-"""Blackboards, whose entries the nodes of a tree read and write, and ports, through which they do so.
+"""Blackboards, and the ports through which the nodes of a tree read and write them.
 
 The XML element of a node fills each port with a literal or with a key of the blackboard.
 """
@@ -34,7 +34,7 @@ class PortError(RosaBtError, ValueError):
 
 @dataclass(slots=True)
 class Entry:
-    """What a blackboard holds under one key: a value, its declared type (None: any), and how often it was written.
+    """A value under a key, its declared type (None: any), and how often it was written.
 
     An entry exists as soon as a port names its key; it is empty until it is written.
     """
@@ -134,7 +134,7 @@ class Blackboard(MutableMapping[str, Any]):
             self.read_clock = clock
 
     def place(self, key: str) -> tuple[dict[str, Entry], str]:
-        """Return where a key is kept: the entries of a blackboard, and the name of the key in it."""
+        """Return where a key is kept: the entries of a blackboard, and its name there."""
         if key.startswith("@"):
             return self.root.place(key[1:])
         if self.parent is not None and key not in self._constants:
@@ -186,7 +186,7 @@ class Blackboard(MutableMapping[str, Any]):
         del entries[name]
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the keys that have a value in this blackboard, without those of the parent tree."""
+        """Iterate over the keys that have a value in this blackboard itself."""
         return (key for key, entry in self._entries.items() if entry.value is not EMPTY)
 
     def __len__(self) -> int:
@@ -209,7 +209,7 @@ def key_of(written: str, port: str) -> str | None:
 
 
 def ports_of(made: object) -> tuple[Declared, Declared]:
-    """Return the py_trees ports of a behaviour or of a class of behaviours: all ports, and the output ports."""
+    """Return all py_trees ports of a behaviour or of a class, and its output ports."""
     if isinstance(made, PortsMixin) or (isinstance(made, type) and issubclass(made, PortsMixin)):
         return {**made.input_ports(), **made.output_ports()}, made.output_ports()
     return {}, {}
@@ -284,7 +284,7 @@ class Ports:
             self.blackboard.make(self.keys[name], self._type(name)).take(value)
 
     def is_updated(self, name: str) -> bool:
-        """Tell whether the entry that a port names, as `{key}` or `key`, was written since the last call."""
+        """Tell whether the entry that a port names was written since the last call."""
         entry = self.blackboard.entry(self.keys.get(name) or str(self.get(name)))
         before = self._seen
         if entry is not None:
@@ -292,7 +292,7 @@ class Ports:
         return self._seen != before
 
     def connect(self, behaviour: PortsMixin) -> None:
-        """Connect the py_trees ports of a behaviour to this blackboard instead of that of the process."""
+        """Connect the py_trees ports of a behaviour to this blackboard."""
         client = (
             SimpleNamespace(  # replaces the client of py_trees, which stores for the whole process
                 register_key=lambda **_: None,

@@ -171,7 +171,7 @@ class Parallel(Control):
 
 
 class ParallelAll(Parallel):
-    """Ends when all children have finished: FAILURE if `max_failures` or more of them failed, else SUCCESS."""
+    """Ends when all children have finished: FAILURE if `max_failures` of them failed."""
 
     PORTS: ClassVar = {"max_failures": port(int, 1)}
 
@@ -251,7 +251,7 @@ class Switch(Control, is_node=False):
         return verdict
 
     def _matches(self, case: str) -> bool:
-        """Tell whether a case equals the variable, as a text, or as the numbers at the beginning of both."""
+        """Tell whether a case equals the variable, as a text or as the number it begins with."""
         ports = self.ports
         if not (ports.exists("variable") and ports.exists(case)):
             return False
@@ -356,7 +356,7 @@ class KeepRunningUntilFailure(Translator):
 
 
 class Repeat(OneChild):
-    """Ticks the child a number of times (-1: for ever): again in the same tick if it was RUNNING, else in the next."""
+    """Ticks the child a number of times (-1: for ever), in the same tick if it was RUNNING."""
 
     PORTS: ClassVar = {"num_cycles": port(int)}
     FORGETS = ("_count",)
@@ -553,7 +553,7 @@ for _name, _kind in _LOOPS.items():
 
 
 class RecoveryNode(Control):
-    """Ticks the first child; when it fails, the second, then the first again, `number_of_retries` times."""
+    """Ticks the first child; when it fails, the second, then the first again, some times."""
 
     CHILDREN = (2, 2)
     PORTS: ClassVar = {"number_of_retries": port(int, 1)}
@@ -582,7 +582,7 @@ class RecoveryNode(Control):
 
 
 class PipelineSequence(Control):
-    """A sequence that ticks earlier children again, and goes on even if one of them is RUNNING then."""
+    """A sequence that ticks earlier children again, and goes on even if one is RUNNING then."""
 
     FORGETS = ("_furthest",)
     _furthest = 0
@@ -720,7 +720,7 @@ class PauseResumeController(Control):
 
 
 class Anew(OneChild, is_node=False):
-    """Ticks the child while it is RUNNING, and when it is due: at the start, or as a subclass says."""
+    """Ticks the child while it is RUNNING, at the start, and when a subclass says."""
 
     instead = RUNNING
     _is_due = True

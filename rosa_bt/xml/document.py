@@ -1,4 +1,4 @@
-"""The files of trees: elements that know their place, what files define and include, and version 3."""
+"""The files of trees: their elements, what they define and include, and version 3."""
 
 import logging
 import os
@@ -36,7 +36,7 @@ class Element(ElementTree.Element):
 
     @property
     def node(self) -> str:
-        """The name of the node: the ID of an explicit element such as `<Action ID=...>`, or the tag."""
+        """The name of the node: the ID of `<Action ID=...>` and the like, or the tag."""
         return self.needed("ID") if self.tag in EXPLICIT else self.tag
 
     @property
@@ -145,7 +145,7 @@ MARKS: Final = frozenset({*_NODES, *_CHECKS})
 
 
 def is_version_3(root: Element) -> bool:
-    """Tell whether a file says that it is of version 3, or has nodes of version 3 and says nothing."""
+    """Tell whether a file is of version 3: it says so, or has its nodes and says nothing."""
     version = root.get("BTCPP_format")
     if version is not None:
         return version.split(".")[0] == "3"
@@ -262,7 +262,7 @@ class Document:
         _log.warning("%s: %s", where, text)
 
     def main(self, name: str | None) -> str:
-        """Return the ID of the tree to make: the one of this name, or the main tree of the file, or the only one."""
+        """Return the ID of the tree to make: this name, the main tree, or the only one."""
         name = name or self.root.get("main_tree_to_execute")
         if name is None and len(self.trees) == 1:
             (name,) = self.trees

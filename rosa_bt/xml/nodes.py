@@ -217,7 +217,7 @@ class XmlNode(Named, is_node=False):
         self.iterator = self.tick()
 
     def end(self, verdict: Status, *kept: Slot) -> Status:
-        """Forget the state, make every child idle, halt those that are RUNNING, and return the outcome."""
+        """Forget the state, make every child idle or halt it, and return the outcome."""
         self.forget()
         self.reset_children(*kept)
         return verdict
@@ -232,7 +232,7 @@ class Control(XmlNode, Composite, is_node=False):
     """A node with several children."""
 
     def tip(self) -> Behaviour | None:
-        """Return the node that decided the outcome: the tip of the last child that has the same outcome."""
+        """Return the tip of the last child that has the same outcome."""
         deciding = [child for child in self.children if child.status is self.status]
         if deciding and self.status is not SKIPPED:
             return deciding[-1].tip()
@@ -254,11 +254,11 @@ class OneChild(XmlNode, Decorator, is_node=False):
 
 
 class Branch(OneChild, is_node=False):
-    """Ticks its child; a root for callers that know no slots: of a whole tree, or in a decorator of the user."""
+    """Ticks its child; a root for callers that know no slots."""
 
 
 def is_plain(leaf: Behaviour | type[Behaviour]) -> bool:
-    """Tell whether a leaf has neither `initialise` nor `terminate`: it keeps nothing, so it is a condition."""
+    """Tell whether a leaf has neither `initialise` nor `terminate`, so it is a condition."""
     kind = leaf if isinstance(leaf, type) else type(leaf)
     if kind.initialise is not Behaviour.initialise or kind.terminate is not Behaviour.terminate:
         return False
@@ -302,7 +302,7 @@ class ScriptCondition(Script):
 
 
 class SetBlackboard(Named):
-    """Writes a text, converted to the declared type of the entry, or copies the value of another key.
+    """Writes a text, as the declared type of the entry, or copies the value of another key.
 
     As in BehaviorTree.CPP, if no type is declared, the first text empties the entry, and the second
     raises.

@@ -192,7 +192,8 @@ class _Builder:
             return f'<{tag}> is a tree; write <SubTree ID="{tag}"/>'
         near = get_close_matches(tag, [*NODES, "SubTree"], 1)
         guess = f"did you mean the node {near[0]!r}? " if near else ""
-        return f"<{tag}> is unknown; {guess}{hint(tag, self._registry.entries, 'registered behaviours')}"
+        known = hint(tag, self._registry.entries, "registered behaviours")
+        return f"<{tag}> is unknown; {guess}{known}"
 
     def _rules(self, element: Element) -> dict[str, str]:
         """Return the rules of an element.
@@ -213,7 +214,7 @@ class _Builder:
         return rules
 
     def _convert_quotes(self, element: Element, name: str) -> None:
-        """Write the texts of a script in single quotes, as BehaviorTree.CPP wants them since 4.9."""
+        """Write the texts of a script in single quotes, as is wanted since 4.9."""
         before = element.attrib[name]
         after = _QUOTED.sub(_single_quoted, before)
         if after != before:

@@ -1,4 +1,4 @@
-"""Registers behaviours under the names that files use, and makes them, with arguments and ports from attributes."""
+"""Registers behaviours under the names that files use, and makes them of attributes."""
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
@@ -89,7 +89,7 @@ class Entry:
         board: Blackboard,
         note: Callable[[str], object],
     ) -> Behaviour:
-        """Make the behaviour; raise PortError if an attribute is unknown, missing, or of a wrong type."""
+        """Make the behaviour; raise if an attribute is unknown, missing, or of a wrong type."""
         literals, keys = self._divided(written)
         offered = {**self.bound, "name": name, "children": list(branches), "blackboard": board}
         if branches:
@@ -123,7 +123,7 @@ class Entry:
         return behaviour
 
     def _divided(self, written: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
-        """Return the attributes that are arguments: those with a literal, and those with a key."""
+        """Return the attributes that are arguments, with a literal and with a key."""
         literals = dict[str, str]()
         keys = dict[str, str]()
         for name, argument in self.arguments.items():
@@ -145,7 +145,7 @@ class Entry:
 
 
 def _read_at_start(behaviour: Behaviour, ports: Ports, declared: Declared) -> None:
-    """Let a behaviour read its attributes that are keys, each time before `initialise` is called."""
+    """Let a behaviour read its attributes that are keys before each `initialise`."""
     initialise = behaviour.initialise
     names = ports.keys.keys() - declared.keys()
 
@@ -159,7 +159,7 @@ def _read_at_start(behaviour: Behaviour, ports: Ports, declared: Declared) -> No
 
 
 def _check_action(leaf: ActionBehaviour, ports: Ports) -> None:
-    """Raise now, not during a mission, if the action is missing, given twice, or not in the model."""
+    """Raise now if the action is missing, given twice, or not in the model."""
     name = ports.literals.get("action")
     if leaf.named_action is None and "action" not in {*ports.keys, *ports.literals}:
         raise PortError("'action' is missing; write action=... in the element")
@@ -185,7 +185,7 @@ def _safe_switch(
     if len(steps) != len(after):
         raise RegistryError("it takes a child for each action in `after`, and the task")
     transitions = dict(zip(after, steps, strict=True))
-    return SafeSwitch(name, task, transitions, blackboard, action, "@last_action")
+    return SafeSwitch(name, task, transitions, blackboard.root, action)
 
 
 _ALWAYS: Final[Mapping[str, Factory]] = {"Retry": Retry, "UntilSuccess": UntilSuccess}
@@ -271,7 +271,7 @@ class BehaviourRegistry:
         return factory
 
     def name_of(self, behaviour: Behaviour) -> str | None:
-        """Return the name under which the class is registered, or the behaviour's own if a function has that name."""
+        """Return the name of its class, or its own if a function is registered under that."""
         for name, entry in self.entries.items():
             if entry.factory is type(behaviour):
                 return name

@@ -159,7 +159,7 @@ class _Run:
         return -double(value) if sign == "-" else float(not double(value))
 
     def _number(self, value: Value) -> float:
-        """Return the number that a value means: a number, `true`, `false`, or the name of an enum."""
+        """Return the number that a value means; `true`, `false` and enums are numbers."""
         if isinstance(value, str):
             named = {**self._board.root.enums, "true": 1.0, "false": 0.0}
             value = named[value] if value in named else begun(value)

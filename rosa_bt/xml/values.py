@@ -73,7 +73,7 @@ def truth(value: Value) -> bool:
 
 
 def as_text(value: Value) -> str:
-    """Return a value as a text, as the operator `..` of scripts does: a double with six decimals."""
+    """Return a value as text, as `..` in scripts does: a double with six decimals."""
     if isinstance(value, float):
         return f"{value:.6f}"
     return str(int(value) if isinstance(value, bool) else value)
@@ -110,7 +110,7 @@ def fit(value: Value, before: Value) -> Value:
 
 
 def converted(text: str, wanted: Any) -> Value:  # noqa: ANN401  # a type
-    """Return a text as a type: numbers by their beginning, lists as `1;2;3`, structures as `json:...`.
+    """Return a text as a type: numbers by their beginning, lists as `1;2;3`, or `json:...`.
 
     Raises:
         ValueError, TypeError: the text has no meaning as that type.
@@ -141,7 +141,7 @@ def converted(text: str, wanted: Any) -> Value:  # noqa: ANN401  # a type
 
 
 def literal(text: str) -> int | float | str:
-    """Return the value of a literal of a SubTree element: a whole number, a double, or else a text."""
+    """Return the value of a literal of a SubTree: a whole number, a double, or a text."""
     if re.fullmatch(r"-?\d+", text, re.ASCII):
         return int(text)
     if re.fullmatch(r"-?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", text, re.IGNORECASE | re.ASCII):

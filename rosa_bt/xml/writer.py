@@ -52,7 +52,8 @@ _MAIN: Final = "MainTree"
 def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None) -> str:
     """Write a tree as XML of BehaviorTree.CPP 4.
 
-    It writes trees from `load_xml`, also changed ones, and trees of behaviours that mean the same: Sequence and Selector (with and without memory), Inverter, FailureIsSuccess,
+    It writes trees from `load_xml`, also changed ones, and trees of behaviours that mean the same:
+        Sequence and Selector (with and without memory), Inverter, FailureIsSuccess,
     SuccessIsFailure, Success, Failure, our Timer, Timeout and Delay, and leaves that need no
     arguments but a name, a knowledge base and the action. The idioms are written as the nodes that
     they consist of; ForAction, UntilSuccess, Retry, DoUntilUnfeasible and SafeSwitch are in every
@@ -111,7 +112,7 @@ def _tag(node: Behaviour) -> str:
 
 
 def _attributes(node: Behaviour, parameters: Container[str] = _ARGUMENTS) -> dict[str, str]:
-    """Return the arguments of a behaviour of ours beside its name, as far as they are parameters."""
+    """Return the arguments of a behaviour of ours that are parameters."""
     kind = type(node)
     if kind in _DURATIONS:
         milliseconds = node.duration * 1000  # type: ignore[attr-defined]  # all three have it
@@ -165,7 +166,7 @@ class _Exporter(_Writer):
         self.models: dict[str, Element] = {}
 
     def tree(self, subtree: SubTree | None, slot: Slot) -> str:
-        """Write a tree; return its ID, which is new if its own belongs to a tree with other content."""
+        """Write a tree; return its ID, a new one if another tree has its own."""
         if subtree is not None:
             self.models.update(subtree.models)
             slot = subtree.child
@@ -224,10 +225,11 @@ class _Exporter(_Writer):
         various = {name for name, parameter in parameters.items() if parameter.kind in (2, 4)}
         unknown = names - various - {"name", "behaviour_class_name", *bound}
         if maker is kind and unknown:
+            made_with = ", ".join(sorted(unknown))
             raise ExportError(
-                f"{kind.__name__} {leaf.name!r} was made with {', '.join(sorted(unknown))}, which cannot"
-                " be written; register a function under the name of the leaf that makes it, and hand "
-                "the registry to export_xml"
+                f"{kind.__name__} {leaf.name!r} was made with {made_with}, which cannot be written;"
+                " register a function under the name of the leaf that makes it, and hand the "
+                "registry to export_xml"
             )
         return tag, attributes
 
@@ -264,7 +266,7 @@ class NumberedTree(_Writer):
         self.xml: Final = tostring(self._whole, encoding="unicode")
 
     def shows(self, root: Behaviour) -> bool:
-        """Tell whether it still shows the tree below `root`: no child was added, removed or moved."""
+        """Tell whether it still shows the tree: no child was added, removed or moved."""
         same = all(node.children == children for node, children in self._children)
         return root is self._root and same
 

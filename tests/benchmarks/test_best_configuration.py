@@ -1,4 +1,7 @@
-"""How long it takes to find, and to prove, the best configuration; and that it is the best of 1,000 small robots."""
+"""How long it takes to find, and to prove, the best configuration.
+
+And that it is the best of 1,000 small robots.
+"""
 
 import sys
 import time
@@ -36,7 +39,8 @@ class Asked(NamedTuple):
 
 def asked(planner, kb):
     """Choose once, from the facts to the proof."""
-    wall, processor = time.perf_counter(), time.process_time()
+    wall = time.perf_counter()
+    processor = time.process_time()
     found = planner.optimum(kb)
     return Asked(time.perf_counter() - wall, time.process_time() - processor, found.is_proven)
 
@@ -56,7 +60,8 @@ def free(seed):
 
 def switching(seed):
     """Return a robot that did well before everything was estimated anew."""
-    kb, other = robot(seed), robot(seed + len(SEEDS))
+    kb = robot(seed)
+    other = robot(seed + len(SEEDS))
     carry_out(kb, OptimalPlanner())
     for old, new in zip(kb.model.estimations, other.model.estimations, strict=True):
         kb.model.change(old, value=(old.value + new.value) / 2)
@@ -70,12 +75,13 @@ def test_best_configuration_of_100_robots_is_proven(tables):
     found = {kind: [asked(*make(seed)) for seed in SEEDS] for kind, make in KINDS.items()}
     tables["5"] = lambda: written(found)
     for times in found.values():
-        assert all(one.is_proven for one in times)
+        assert all(time_s.is_proven for time_s in times)
 
 
 def test_best_configuration_of_1000_small_robots_is_the_one_found_by_trying_all():
     for seed in range(1000):
-        kb, draw = small_robot(seed), Random(seed)
+        kb = small_robot(seed)
+        draw = Random(seed)
         weights = {name: draw.choice((1.0, 0.5, -0.5, -1.0)) for name in ("accuracy", "wear")}
         cost = draw.choice((0.0, 0.1, 0.5))
         optimum = Problem(state_of(kb), weights, cost).solve()
@@ -99,7 +105,7 @@ def written(found):
     for kind, times in found.items():
         row = [kind]
         for field in ("wall_s", "processor_s"):
-            taken = [getattr(one, field) for one in times]
+            taken = [getattr(time_s, field) for time_s in times]
             cuts = quantiles(taken, n=100, method="inclusive")
             row += [f"{1e3 * one:.0f} ms" for one in (cuts[49], cuts[94], max(taken))]
         rows.append(row)

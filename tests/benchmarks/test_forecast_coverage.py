@@ -1,4 +1,4 @@
-"""How often the intervals of forecasts contain what comes, and how wide they are, over simulated missions."""
+"""How often the intervals of forecasts contain what comes in missions, and how wide they are."""
 
 import sys
 from bisect import bisect_left

@@ -1,4 +1,4 @@
-"""The slow twin of the optimiser: it carries out every choice on an overlay and sums up what is estimated then."""
+"""The slow twin of the optimiser: it carries out each choice on a copy and sums up estimations."""
 
 from fractions import Fraction
 from itertools import product
@@ -17,7 +17,7 @@ def ranked(state, node):
 
 
 def every_choice(state):
-    """Yield rank and nodes of every joint choice: designs by function, configurations by component."""
+    """Yield the ranks, designs and configurations of every joint choice."""
     network = state.network
     required = [node for node in network.functions.values() if state.is_required(node)]
     free = [node for node in required if ranked(state, node)]
@@ -46,7 +46,10 @@ def every_choice(state):
 
 
 def outcome(state, designs, configurations, weights, cost=0.0):
-    """Return what a choice is worth once it is carried out; the cost of switching is one for all."""
+    """Return what a choice is worth once it is carried out.
+
+    The cost of switching is one for all.
+    """
     after = state.copy()
     selection = after.decide([*designs, *configurations])
     after.select(selection.flips)
@@ -60,10 +63,12 @@ def outcome(state, designs, configurations, weights, cost=0.0):
     causers += running
     causers += [part for node in running for part in node.requires if part in after.selected]
     causing = {node.element for node in causers}
-    estimations = [one for one in network.model.estimations if one.causer in causing]
+    estimations = [
+        estimation for estimation in network.model.estimations if estimation.causer in causing
+    ]
     worth = Fraction(0)
     for attribute, weight in weights.items():
-        mine = [one for one in estimations if one.attribute == attribute]
+        mine = [estimation for estimation in estimations if estimation.attribute == attribute]
         levels = [exact(weight) * exact(one.value) for one in mine if one.kind == "absolute"]
         worth += min(levels, default=Fraction(0))
         worth += exact(weight) * sum(exact(one.adds) for one in mine if one.kind != "absolute")

@@ -1,4 +1,4 @@
-"""A managed system that does anything it should not, a manager on it, and a twin that says what must be true."""
+"""A managed system that does anything it should not, a manager on it, and what must be true."""
 
 import sys
 from collections import Counter
@@ -31,7 +31,10 @@ class Interrupted(BaseException):
 
 @dataclass
 class Operation:
-    """Ends at a time of the clock, well or badly; what it does it does then, whether anybody still waits or not."""
+    """Ends at a time of the clock, well or badly.
+
+    What it does it does then, whether anybody still waits or not.
+    """
 
     system: "Faulty"
     ends: float
@@ -49,7 +52,10 @@ class Operation:
 
 @dataclass
 class Faulty:
-    """Obeys with a chance, else is slow, late, silent, lying or broken; `running` is what truly runs."""
+    """Obeys with a chance, else is slow, late, silent, lying or broken.
+
+    `running` is what truly runs.
+    """
 
     clock: Clock
     chance: Random
@@ -116,9 +122,13 @@ class Faulty:
 
 
 def robot():
-    """Three functions that share components; light and charge decide, and each component may be given up."""
+    """Three functions that share components.
+
+    Light and charge decide, and each component may be given up.
+    """
     model = Model("robot")
-    light, charge = model.environmental_attribute("light"), model.quality_attribute("charge")
+    light = model.environmental_attribute("light")
+    charge = model.quality_attribute("charge")
     for name in ("eye", "ear", "nose", "arm"):
         part = model.component(
             name, kind="lifecycle", stops_to_configure=name == "ear", always_improve=name == "eye"
@@ -141,8 +151,9 @@ def robot():
 class Life:
     """A robot's life: things happen at random, and each turn what must be true is looked at.
 
-    A component that is told to run runs at that moment, and one that is told not to run does not; a plan ends once; a
-    command that fails is given no more often than allowed, and none stays open longer than its time-out.
+    A component that is told to run runs at that moment, and one that is told not to run does not; a
+    plan ends once; a command that fails is given no more often than allowed, and none stays open
+    longer than its time-out.
     """
 
     def __init__(self, seed, *, faults=0.5, interrupts=0.0, optimal=False):
@@ -164,7 +175,7 @@ class Life:
                 self.lies.append((event.time, name, is_active))
 
     def turn(self, at=None):
-        """Let something happen, take one turn of the loop, perhaps interrupted, and look at what must be true."""
+        """Let something happen, take a turn, perhaps interrupted, and look at what must be true."""
         self._happen()
         self.update(at)
         self.look()
@@ -178,7 +189,8 @@ class Life:
             return None
 
     def _happen(self):
-        kb, chance = self.kb, self.chance
+        kb = self.kb
+        chance = self.chance
         for what in chance.sample(("light", "charge", "recover", "look", "take", "crash"), 2):
             if what in ("light", "charge"):
                 kb.measure(what, chance.choice((0.05, 0.2, 0.4, 0.9)))
@@ -203,15 +215,16 @@ class Life:
         assert len(self.kb.history.open_plans) <= 1
         for plan in self.kb.plans[-3:]:
             assert (plan.end is not None) == (self.ends[plan.number] == 1), plan
-        for one in self.kb.history.attempts[-20:]:
-            assert one.end is not None or one.plan.end is None, one
+        for attempt in self.kb.history.attempts[-20:]:
+            assert attempt.end is not None or attempt.plan.end is None, attempt
             if not self.interrupted:
-                assert (one.end or self.clock.now) - one.start <= TIMEOUT + 3.0, one
-                assert one.number <= ATTEMPTS, one
+                assert (attempt.end or self.clock.now) - attempt.start <= TIMEOUT + 3.0, attempt
+                assert attempt.number <= ATTEMPTS, attempt
 
     def rest(self):
         """Have the system obey again, and see that all comes right."""
-        kb, system = self.kb, self.system
+        kb = self.kb
+        system = self.system
         system.faults = system.interrupts = 0.0
         system.under_way.clear()  # nobody can know of a start that comes true after its stop
         kb.measure("light", 0.9)
@@ -226,23 +239,27 @@ class Life:
             system.pass_time(1.0)
         assert kb.pending_plan is None
         assert all(plan.end is not None for plan in kb.plans)
-        assert all(one.end is not None for one in kb.history.attempts)
-        assert {one.name for one in kb.components.values() if one.is_active} == system.running
+        assert all(attempt.end is not None for attempt in kb.history.attempts)
+        assert {
+            component.name for component in kb.components.values() if component.is_active
+        } == system.running
         assert kb.actions["take"].status is Status.SOLVED, kb.explain("take")
-        for one in kb.components.values():
+        for component in kb.components.values():
             if (
-                one.is_active and one.is_required
+                component.is_active and component.is_required
             ):  # one that could not be stopped may run on, and is known to
-                chosen = kb.configurations[one.selected_configuration]
+                chosen = kb.configurations[component.selected_configuration]
                 assert (
-                    dict(one.parameters_in_force)
+                    dict(component.parameters_in_force)
                     == dict(chosen.parameters)
-                    == system.parameters[one.name]
+                    == system.parameters[component.name]
                 )
 
 
 def interrupted_at(step, call, count=None):
-    """Interrupt a call at one of the instructions that it runs in the product; `count` gets how many it came to.
+    """Interrupt a call at one of the instructions that it runs in the product.
+
+    `count` gets how many it came to.
 
     Those on a way out of a `with` or a function are left out: Python looks for no signal there.
     """
@@ -280,7 +297,10 @@ def lived(seed, turns, **options):
 
 
 def interrupted_turns(seed, steps):
-    """Live a life of turns each of which is interrupted at one of its instructions; return how many were."""
+    """Live a life of turns each of which is interrupted at one of its instructions.
+
+    Return how many were.
+    """
     life = Life(seed, faults=0.3)
     for step in steps:
         life.turn(at=step)

@@ -33,15 +33,25 @@ def answers(kb, *, ended=False):
     return {
         "statuses": [(repr(element), element.status) for element in (*elements, *constraints)],
         "required": [
-            (repr(element), element.is_required) for element in elements if hasattr(element, "is_required")
+            (repr(element), element.is_required)
+            for element in elements
+            if hasattr(element, "is_required")
         ],
         "active": [
             (component.name, component.is_active, dict(component.parameters_in_force))
             for component in kb.components.values()
         ],
-        "selected": [repr(element) for element in elements if getattr(element, "is_selected", False)],
+        "selected": [
+            repr(element) for element in elements if getattr(element, "is_selected", False)
+        ],
         "measured": [
-            (attribute.name, attribute.value, attribute.time, attribute.is_stale, attribute.history[-KEPT:])
+            (
+                attribute.name,
+                attribute.value,
+                attribute.time,
+                attribute.is_stale,
+                attribute.history[-KEPT:],
+            )
             for attribute in kb.attributes.values()
         ],
         "plans": [plan(one, ended) for one in kb.plans],
@@ -52,8 +62,13 @@ def answers(kb, *, ended=False):
             (kb.plans.index(answer.plan), answer.time, answer.is_vetoed, answer.reason)
             for answer in kb.history.answers
         ],
-        "reasons": [design.reason for design in (*kb.designs.values(), *kb.configurations.values())],
-        "processes": [(process.component, process.pid, process.start, process.end) for process in kb.history.processes],
+        "reasons": [
+            design.reason for design in (*kb.designs.values(), *kb.configurations.values())
+        ],
+        "processes": [
+            (process.component, process.pid, process.start, process.end)
+            for process in kb.history.processes
+        ],
         "adaptable": (kb.adaptable_functions(), kb.adaptable_components(), kb.obsolete()),
     }
 

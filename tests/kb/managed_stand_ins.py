@@ -17,7 +17,10 @@ class Operation:
     """Ends at a time of the clock, well or badly."""
 
     def __init__(self, clock, ends, effect, error):
-        self.clock, self.ends, self.effect, self.error = clock, ends, effect, error
+        self.clock = clock
+        self.ends = ends
+        self.effect = effect
+        self.error = error
 
     def done(self):
         if self.clock.now < self.ends:
@@ -35,9 +38,9 @@ class Operation:
 class Scripted:
     """A managed system.
 
-    `script` holds, by "verb component", what its next commands do, the last again and again: None is done at once, a
-    number takes that long [s], an exception is raised, a pair of a number and an exception fails after that time, a
-    LIE does nothing.
+    `script` holds, by "verb component", what its next commands do, the last again and again: None
+    is done at once, a number takes that long [s], an exception is raised, a pair of a number and an
+    exception fails after that time, a LIE does nothing.
     """
 
     def __init__(self, clock, script=None, default=None):
@@ -94,7 +97,10 @@ class Candid(Scripted):
 
 
 def rover(**camera):
-    """Sees by camera (two configurations) or by lidar; a lamp without a driver belongs to the camera's design."""
+    """Sees by camera (two configurations) or by lidar.
+
+    A lamp without a driver belongs to the camera's design.
+    """
     model = Model("rover")
     light = model.environmental_attribute("light")
     node = model.component("camera", **{"kind": "lifecycle", **camera})
@@ -115,7 +121,7 @@ def base(model, now=100.0):
 
 
 def happen(kb, event):
-    """Let something happen to a base that a manager tells things too, of which a naive twin would not know."""
+    """Let something happen to a base that a manager changes, too."""
     what, *arguments = event
     names = {"request": "request_action", "cancel": "cancel_action", "measure": "measure"}
     getattr(kb, names.get(what, f"component_{what}"))(*arguments)
@@ -133,8 +139,12 @@ def turn(manager, clock, times=1, seconds=1.0):
 
 
 def come_to_rest(manager, kb, clock, most=60, quiet=6):
-    """Take turns until nothing has been planned for a while; return the plans, or fail when it never rests."""
-    plans, still = [], 0
+    """Take turns until nothing has been planned for a while.
+
+    Return the plans, or fail when it never rests.
+    """
+    plans = []
+    still = 0
     for _ in range(most):
         made = turn(manager, clock)
         plans += made

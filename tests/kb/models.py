@@ -289,7 +289,9 @@ class Twins:
             kinds = {"Action": "action", "FunctionDesign": "design", "Component": "component"}
             whole = self.view(kinds.get(type(holder).__name__, "configuration"), holder.name, kb)
             own = [
-                constraint for constraint in self.model.constraints if any(it is holder for it in constraint.constrained)
+                constraint
+                for constraint in self.model.constraints
+                if any(it is holder for it in constraint.constrained)
             ]
             position = next(number for number, one in enumerate(own) if one is constraint)
             return whole.constraints[position]

@@ -53,7 +53,11 @@ class Naive:
         return [design for design in self.model.designs.values() if design.function == function]
 
     def configurations_of(self, component):
-        return [configuration for configuration in self.model.configurations.values() if configuration.component == component]
+        return [
+            configuration
+            for configuration in self.model.configurations.values()
+            if configuration.component == component
+        ]
 
     # required
 
@@ -118,7 +122,9 @@ class Naive:
 
     def component_status(self, name):
         options = [configuration.name for configuration in self.configurations_of(name)]
-        unfeasible = [option for option in options if self.status("configuration", option) == "unfeasible"]
+        unfeasible = [
+            option for option in options if self.status("configuration", option) == "unfeasible"
+        ]
         required = self.component_required(name)
         if name in self.failed:
             return "failure"
@@ -144,7 +150,9 @@ class Naive:
         return "solved" if name in self.designs else "feasible"
 
     def function_status(self, name):
-        options = {design.name: self.status("design", design.name) for design in self.designs_of(name)}
+        options = {
+            design.name: self.status("design", design.name) for design in self.designs_of(name)
+        }
         selected = [options[option] for option in options if option in self.designs]
         if not options or all(option == "unfeasible" for option in options.values()):
             return "unfeasible"
@@ -177,7 +185,9 @@ class Naive:
 
     def adaptable_functions(self):
         return {
-            function.name for function in self.model.functions.values() if self._is_adaptable("function", function)
+            function.name
+            for function in self.model.functions.values()
+            if self._is_adaptable("function", function)
         }
 
     def adaptable_components(self, designs=()):
@@ -203,12 +213,18 @@ class Naive:
     def selectable_configurations(self, component):
         options = self.configurations_of(component)
         return {
-            option.name for option in options if self.status("configuration", option.name) != "unfeasible"
+            option.name
+            for option in options
+            if self.status("configuration", option.name) != "unfeasible"
         }
 
     def usable_by(self, component):
         """Functions that could use a component: those with a design that contains it."""
-        return {design.function for design in self.model.designs.values() if component in design.components}
+        return {
+            design.function
+            for design in self.model.designs.values()
+            if component in design.components
+        }
 
     def obsolete_components(self):
         return {
@@ -223,7 +239,10 @@ class Naive:
         }
 
     def obsolete_configurations(self):
-        component = {configuration: self.model.configurations[configuration].component for configuration in self.configurations}
+        component = {
+            configuration: self.model.configurations[configuration].component
+            for configuration in self.configurations
+        }
         return {
             configuration
             for configuration in self.configurations
@@ -242,7 +261,9 @@ class Naive:
             self.designs.add(chosen)
         self.designs -= replaced
         for component, chosen in configurations.items():
-            self.configurations -= {configuration.name for configuration in self.configurations_of(component)}
+            self.configurations -= {
+                configuration.name for configuration in self.configurations_of(component)
+            }
             self.configurations.add(chosen)
         obsolete = self.obsolete_designs(), self.obsolete_configurations()
         self.designs -= obsolete[0]

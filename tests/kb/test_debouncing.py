@@ -34,7 +34,9 @@ def test_noise_switches_at_most_once_a_dwell(noise, dwell):
     kb = KnowledgeBase(rover(dwell=dwell), clock=clock)
     changes, plans = [], []
     kb.subscribe(
-        lambda event: changes.extend(change for change in event.changes if change.kind == "constraint")
+        lambda event: changes.extend(
+            change for change in event.changes if change.kind == "constraint"
+        )
     )
     kb.subscribe(
         lambda event: plans.append(event) if event.kind is EventKind.RECONFIGURATION_PLAN else None

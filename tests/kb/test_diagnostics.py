@@ -1,4 +1,4 @@
-"""Facts in arrays of diagnostics: ROSA's texts, everybody's by rules, and nothing lost beside what is wrong."""
+"""Facts in arrays of diagnostics: ROSA's own texts, and everybody's by rules."""
 
 import json
 import math
@@ -236,15 +236,16 @@ def test_order_of_statuses_in_an_array_does_not_matter(statuses):
     assert kb.components["lidar"].status is Status.FAILURE
 
 
-# -------------------------------------------------------------------- everybody's diagnostics, by rules
+# -------------------------------------------------------------------- by rules
 
-UPDATER = """{"header": {"stamp": {"sec": 1795837572, "nanosec": 709228094}, "frame_id": ""}, "status": [
+UPDATER = """{"header": {"stamp": {"sec": 1795837572, "nanosec": 709228094}, "frame_id": ""},
+"status": [
 {"level": 0, "name": "camera_driver: connection", "message": "connected", "hardware_id": "cam0",
  "values": [{"key": "port", "value": "/dev/video0"}, {"key": "temperature", "value": "41.5"}]},
 {"level": 1, "name": "camera_driver: lens", "message": "dirty lens", "hardware_id": "cam0",
  "values": [{"key": "clean", "value": "False"}]},
-{"level": 3, "name": "camera_driver: calibration", "message": "no calibration heard", "hardware_id": "cam0",
- "values": []}]}"""
+{"level": 3, "name": "camera_driver: calibration", "message": "no calibration heard",
+ "hardware_id": "cam0", "values": []}]}"""
 """A message of the real diagnostic_updater, by rosbridge."""
 
 

@@ -1,4 +1,4 @@
-"""Slow, lying, failing and interrupted: no fault of a managed system makes the manager lie, stall or end a plan twice.
+"""No fault of a managed system makes the manager lie, stall or end a plan twice.
 
 The long part is in the benchmarks.
 """
@@ -21,7 +21,7 @@ def test_no_managed_system_makes_the_manager_lie(seed):
 def test_interrupted_calls_leave_nothing_behind(seed):
     life = lived(seed, 40 if seed == 5 else 200, faults=0.3, interrupts=0.05, optimal=seed == 5)
     assert life.interrupted > 1
-    assert any(one.result == "abandoned" for one in life.kb.history.attempts)
+    assert any(attempt.result == "abandoned" for attempt in life.kb.history.attempts)
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -1,4 +1,4 @@
-"""Explanations: sentences that a person reads, and chains of causes that suffice and are not idle."""
+"""Explanations: sentences that a person reads, and causes that suffice and are not idle."""
 
 import pytest
 from hypothesis import HealthCheck, assume, example, given, settings
@@ -322,10 +322,12 @@ def test_too_many_causes_are_counted(causes, is_joint):
     for name in [] if is_joint else [*names]:
         see.design(f"by {name}", [name])
     if not is_joint:
-        node, word = "see", " and"
+        node = "see"
+        word = " and"
     else:
         see.design("by all", names)
-        node, word = "by all", "; also"
+        node = "by all"
+        word = "; also"
     kb = KnowledgeBase(model)
     for name in names:
         kb.component_failed(name)

@@ -11,7 +11,7 @@ from kb.elements import Rate
 
 
 def rover(*rates, forecast=None):
-    """Return a model with rates of its energy, as (per s, while, learns), or a way to forecast it."""
+    """Return a model with rates of its energy, (per s, while, learns), or a way to forecast."""
     model = Model("rover")
     energy = model.quality_attribute("energy", low=0.0, high=1.0)
     light = model.environmental_attribute("light", unit="lx")
@@ -227,7 +227,7 @@ def test_rate_is_learned_while_its_action_is_done():
     assert kb.forecast("energy", 10.0)[2:5] == (pytest.approx(1.0), None, None)
     life.measure(30, energy=lambda time: 0.9 + 0.002 * (time - 20.0))
     assert kb.forecast("energy", 10.0).value == pytest.approx(0.92 + 0.02)
-    assert kb.forecast("energy", 10.0, doing="explore").value == pytest.approx(0.92 - 0.05)
+    assert kb.forecast("energy", 10.0, doing=["explore"]).value == pytest.approx(0.92 - 0.05)
 
 
 def test_value_at_a_bound_teaches_no_rate():
@@ -237,7 +237,7 @@ def test_value_at_a_bound_teaches_no_rate():
     assert (stuck.low, stuck.value) == (0.0, 0.0)
     assert stuck.high < 0.02
     kb.measure("energy", 0.9)
-    assert kb.forecast("energy", 10.0, doing="explore").value == pytest.approx(0.9 - 0.2)
+    assert kb.forecast("energy", 10.0, doing=["explore"]).value == pytest.approx(0.9 - 0.2)
 
 
 @pytest.mark.parametrize("rate", [-1 / 330, -1 / 167])
@@ -257,7 +257,7 @@ def test_rate_is_learned_beside_one_that_is_known():
     life.measure(30, energy=lambda time: 0.5 - 0.005 * time)
     life.kb.request_action("charge")
     kb = life.measure(60, energy=lambda time: 0.35 + 0.01 * (time - 30))
-    assert kb.forecast("energy", 5.0, doing="charge").value == pytest.approx(0.65 + 0.05)
+    assert kb.forecast("energy", 5.0, doing=["charge"]).value == pytest.approx(0.65 + 0.05)
     assert kb.forecast("energy", 5.0, doing=()).value == pytest.approx(0.65 - 0.025)
 
 

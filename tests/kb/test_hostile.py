@@ -1,8 +1,6 @@
 """Input that is broken or hostile: refused or ignored with a clear word, and no fact changed by what is refused."""
 
 import math
-import random
-import re
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -119,63 +117,6 @@ def test_hostile_files_are_refused_with_their_place(text, tmp_path):
     with pytest.raises(ModelFileError, match=r"hostile\.tql:\d+:\d+: ") as refused:
         Model.load(file)
     assert len(str(refused.value)) < 1000
-
-
-BITS = [
-    "\0",
-    "<",
-    ">",
-    "&",
-    '"',
-    "(",
-    "}",
-    ";",
-    "nan",
-    "inf",
-    "1e999",
-    "9" * 5000,
-    "&#0;",
-    "[",
-    "\u2028",
-    "double",
-    "#v",
-]
-
-
-def broken(text, chance):
-    """A file in which a few pieces are lost, doubled or replaced."""
-    for _ in range(chance.randint(1, 4)):
-        at = chance.randrange(len(text))
-        end = min(len(text), at + chance.randrange(1, 300))
-        numbers = list(re.finditer(r"\d+(\.\d+)?", text))
-        kind = chance.randrange(4)
-        if kind == 3 and numbers:
-            number = chance.choice(numbers)
-            text = text[: number.start()] + chance.choice(BITS) + text[number.end() :]
-        else:
-            text = (
-                text[:at]
-                + ("", text[at:end] * 2, chance.choice(BITS))[kind % 3]
-                + text[end if kind % 3 < 2 else at :]
-            )
-    return text
-
-
-@pytest.mark.parametrize(("suffix", "files"), [("owl", 40)])
-def test_broken_files_are_refused_or_give_a_model(suffix, files, tmp_path):
-    chance, file, loaded = random.Random(7), tmp_path / f"x.{suffix}", 0
-    refused = []
-    robot().save(file)
-    text = file.read_text()
-    for _ in range(files):
-        file.write_text(broken(text, chance), errors="replace")
-        try:
-            Model.load(file).check()
-            loaded += 1
-        except KnowledgeBaseError as error:
-            refused.append(str(error))
-    assert 0 < loaded == files - len(refused)
-    assert all(str(file) in one for one in refused)
 
 
 HOSTILE = st.one_of(

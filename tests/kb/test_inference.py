@@ -98,7 +98,12 @@ def test_ten_thousand_elements_are_inferred():
     kb.measure("light", 0.5)
     assert not kb.is_feasible("everything")
     assert kb.is_feasible("one")
-    assert len([function for function in kb.functions.values() if function.status is Status.UNFEASIBLE]) == 749
+    assert (
+        len(
+            [function for function in kb.functions.values() if function.status is Status.UNFEASIBLE]
+        )
+        == 749
+    )
     kb.measure("light", 1.0)
     assert kb.is_feasible("everything")
     assert kb.request_action("everything")

@@ -258,8 +258,8 @@ def test_unknown_name_is_a_key_error_that_says_what_is_near(kb, told, ask, near)
 @pytest.mark.parametrize(
     ("element", "status", "words"),
     [
-        ("explore", "broken", "is no status; a status is one of 'not evaluated'"),
-        ("explore", None, "is no status"),
+        ("explore", "broken", "a action is never broken; it can be 'unfeasible'"),
+        ("explore", None, "never None"),
         ("explore", "satisfied", "a action is never satisfied"),
         ("day", "solved", "a configuration is never solved"),
         ("camera", "implicit configuration error", "a component is never"),

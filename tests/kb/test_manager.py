@@ -79,18 +79,6 @@ def test_loop_rests_when_every_design_fails():
     assert len(managed.log) == commands
 
 
-def test_an_active_component_is_reconfigured_without_a_restart():
-    kb, clock, managed, manager = start()
-    kb.request_action("explore")
-    turn(manager, clock, 2)
-    managed.log.clear()
-    kb.measure("light", 0.1)
-    (plan,) = turn(manager, clock, 3)
-    assert (plan.activate, plan.deactivate, plan.parameters) == ((), (), ("night",))
-    assert managed.log == ["configure camera {'exposure': 0.2}"]
-    assert kb.components["camera"].parameters_in_force == {"exposure": 0.2}
-
-
 def test_component_that_stops_to_configure_is_started_anew():
     kb, clock, managed, manager = start(rover(stops_to_configure=True))
     kb.request_action("explore")
@@ -165,98 +153,7 @@ def test_better_design_is_taken_only_where_always_improve(always_improve):
     assert come_to_rest(manager, kb, clock) == []
 
 
-def test_no_new_plan_is_made_before_the_pending_one_has_ended():
-    kb, clock, managed, manager = start(default=5.0)
-    kb.request_action("explore")
-    assert len(turn(manager, clock, 2)) == 1
-    kb.cancel_action("explore")
-    kb.component_failed("lamp")
-    assert turn(manager, clock, 2) == []
-    plans = come_to_rest(manager, kb, clock)
-    assert [plan.result for plan in kb.plans] == ["completed", "completed"]
-    assert set(plans[-1].deactivate) == {"camera", "lamp"}
-    assert managed.running == set()
-
-
-def test_parameters_of_a_plan_that_fails_elsewhere_are_set():
-    model = rover()
-    model.component("arm", kind="process")
-    model.function("reach").design("by arm", ["arm"])
-    model.action("grasp", requires=["reach"])
-    kb, clock, managed, manager = start(model, {"deactivate arm": [Broken("stuck")]})
-    kb.request_action("explore")
-    kb.request_action("grasp")
-    come_to_rest(manager, kb, clock)
-    assert managed.parameters == {"camera": {"exposure": 0.01}}
-    kb.cancel_action("grasp")
-    kb.measure("light", 0.1)
-    come_to_rest(manager, kb, clock)
-    assert kb.components["camera"].selected_configuration == "night"
-    assert kb.components["camera"].status is Status.SOLVED
-    assert managed.parameters == {"camera": {"exposure": 0.2}}
-
-
-def test_released_parameters_are_set():
-    model = Model("one way")
-    light = model.environmental_attribute("light")
-    node = model.component("camera", kind="lifecycle")
-    node.configuration("day", {"exposure": 0.01}, priority=1, constraints=[light >= 0.5])
-    node.configuration("night", {"exposure": 0.2}, priority=2)
-    model.function("see").design("by camera", [node])
-    model.action("explore", requires=["see"])
-    kb, clock, managed, manager = start(
-        model, {"configure camera": [None, *[Broken("busy")] * 3, None]}
-    )
-    kb.request_action("explore")
-    come_to_rest(manager, kb, clock)
-    kb.measure("light", 0.1)
-    come_to_rest(manager, kb, clock)
-    assert kb.components["camera"].status is Status.UNFEASIBLE
-    kb.retract_status("night")
-    come_to_rest(manager, kb, clock)
-    assert kb.components["camera"].status is Status.SOLVED
-    assert managed.parameters == {"camera": {"exposure": 0.2}}
-
-
-def busy(always_improve):
-    """Two required functions: one that becomes unfeasible while it is selected, one that may be improved always."""
-    model = Model("busy")
-    model.component("broken", kind="process")
-    model.component("fine", kind="process")
-    model.function("lost").design("by broken", ["broken"])
-    model.function("kept", always_improve=always_improve).design("by fine", ["fine"])
-    model.action("both", requires=["lost", "kept"])
-    return model
-
-
-@pytest.mark.parametrize(
-    "always_improve",
-    [
-        False,
-        True,
-    ],
-)
-def test_component_that_cannot_start_is_given_up(always_improve):
-    kb, clock, managed, manager = start(busy(always_improve), {"activate broken": [Broken("no")]})
-    kb.request_action("both")
-    come_to_rest(manager, kb, clock)
-    assert kb.functions["lost"].status is Status.UNFEASIBLE
-    assert kb.functions["kept"].status is Status.SOLVED
-    assert managed.log.count("activate broken") <= 6
-
-
 # stages can be replaced
-
-
-class LightSensor:
-    """A monitor."""
-
-    def __init__(self, readings):
-        self.readings = list(readings)
-
-    def observe(self, kb):
-        if self.readings:
-            kb.measure("light", self.readings.pop(0))
 
 
 class LastByName:
@@ -272,47 +169,11 @@ class LastByName:
         return kb.select(designs, configurations) if designs or configurations else None
 
 
-class DryRun:
-    """An executor that believes that all goes well."""
-
-    def __init__(self):
-        self.plans = []
-
-    def execute(self, kb):
-        plan = kb.pending_plan
-        if plan is not None:
-            self.plans.append(plan)
-            for name in plan.deactivate:
-                kb.component_active(name, False)
-            for name in plan.activate:
-                kb.component_active(name, True)
-            kb.finish_plan(plan, "completed")
-
-
-def test_a_monitor_of_ones_own_is_asked_first_at_each_turn():
-    kb, clock, managed, manager = start(monitors=[LightSensor([0.1, 0.9])])
-    kb.request_action("explore")
-    turn(manager, clock)
-    assert managed.parameters == {"camera": {"exposure": 0.2}}
-    turn(manager, clock)
-    assert kb.attributes["light"].value == 0.9
-
-
 def test_a_planner_of_ones_own_replaces_the_stock_one():
     kb, clock, managed, manager = start(planner=LastByName())
     kb.request_action("explore")
     turn(manager, clock, 3)
     assert managed.running == {"lidar"}
-
-
-def test_an_executor_of_ones_own_replaces_the_stock_one():
-    executor = DryRun()
-    kb, clock, managed, manager = start(executor=executor)
-    kb.request_action("explore")
-    turn(manager, clock, 3)
-    assert managed.log == []
-    assert executor.plans == list(kb.plans)
-    assert kb.actions["explore"].status is Status.SOLVED
 
 
 def test_a_new_executor_takes_up_a_plan_that_the_old_one_left():
@@ -322,16 +183,6 @@ def test_a_new_executor_takes_up_a_plan_that_the_old_one_left():
     managed = Scripted(clock)
     turn(ConfigurationManager(kb, managed), clock, 2)
     assert [plan.result for plan in kb.plans] == ["completed"]
-    assert managed.running == {"camera"}
-
-
-def test_a_plan_that_someone_else_ended_is_not_carried_on():
-    kb, clock, managed, manager = start(default=2.0)
-    kb.request_action("explore")
-    turn(manager, clock)
-    kb.finish_plan(kb.pending_plan, "abandoned")
-    turn(manager, clock, 8)
-    assert [plan.result for plan in kb.plans] == ["abandoned", "completed"]
     assert managed.running == {"camera"}
 
 
@@ -465,14 +316,6 @@ class Breaking:
 
     def exception(self):
         raise Broken("lost")
-
-
-def test_futures_are_operations():
-    kb, clock = base(rover())
-    manager = ConfigurationManager(kb, Returning(lambda: future(None)))
-    kb.request_action("explore")
-    come_to_rest(manager, kb, clock)
-    assert kb.actions["explore"].status is Status.SOLVED
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """The ontology says what the model and the base say; rdflib and the naive twin are its judges."""
 
 import json
-import threading
 from decimal import Decimal
 
 import pytest
@@ -79,14 +78,6 @@ def test_mission_is_read_by_others_in_declared_words(name):
     assert {str(*graph.objects(action, rdflib.RDFS.label)) for action in actions} == set(
         model.actions
     )
-
-
-def test_names_that_differ_little_stay_different(tmp_path):
-    model = Model("odd.one")
-    for name in ("a b", "a_b", "a.b", "a%20b", "a/b", "a#b", "a~b", "ab ", "\x00", "\\u0000"):
-        model.action(name)
-    model.save(tmp_path / "odd.owl")
-    assert list(Model.load(tmp_path / "odd.owl").actions) == list(model.actions)
 
 
 def test_file_of_another_editor_is_read(tmp_path):
@@ -308,33 +299,6 @@ def test_objects_of_owlready2_are_brought_up_to_date():
     assert rest.status == "unfeasible"
 
 
-def test_two_bases_do_not_see_each_other():
-    one = KnowledgeBase(robot())
-    other = KnowledgeBase(Model("other"))
-    one.component_failed("camera")
-    assert one.query("SELECT ?f { ?f a :Failure }")
-    assert not other.query("SELECT ?x { ?x a :Action }")
-    assert not other.query("SELECT ?f { ?f a :Failure }")
-
-
-def test_threads_that_tell_and_ask_get_complete_answers():
-    kb = KnowledgeBase(robot(), clock=Clock(1.0))
-    found = []
-
-    def ask():
-        for number in range(5):
-            kb.measure("load", float(number))
-            found.append(kb.query("SELECT (COUNT(?m) AS ?n) { ?m a :Measurement }")[0][0])
-
-    threads = [threading.Thread(target=ask) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(found) == 20
-    assert kb.query("SELECT (COUNT(?m) AS ?n) { ?m a :Measurement }") == [(20,)]
-
-
 # ---------------------------------------------------------------- queries
 
 QUESTIONS = [
@@ -412,25 +376,6 @@ def test_answers_are_those_of_an_independent_engine(question, told):
 
 
 @pytest.mark.parametrize(
-    "update",
-    [
-        "INSERT { ?x :name 'a' } WHERE { ?x a :Action }",
-        "PREFIX x: <http://x#> INSERT DATA { x:a x:b x:c }",
-        "# harmless\nDELETE WHERE { ?s ?p ?o }",
-        "DROP ALL",
-        "SELECT ?x {\n ?x a :Action } ; DROP ALL",
-        "SELECT ?x { ?x :name 'a''; DELETE FROM objs; --' }",
-    ],
-)
-def test_query_that_would_change_something_is_refused(update):
-    kb = KnowledgeBase(robot(), clock=Clock(1.0))
-    before = kb.query("SELECT ?s ?p ?o { ?s ?p ?o }")
-    with pytest.raises(InvalidValue):
-        kb.query(update)
-    assert kb.query("SELECT ?s ?p ?o { ?s ?p ?o }") == before
-
-
-@pytest.mark.parametrize(
     ("text", "error", "message"),
     [
         ("what can it do?", InvalidValue, "cannot be answered"),
@@ -442,6 +387,11 @@ def test_query_that_would_change_something_is_refused(update):
         ("SELECT ?x { ?x a :Action MINUS { ?x :status 'a' } }", InvalidValue, "NOT EXISTS"),
         ("ASK { ?x a :Action }", InvalidValue, "ASK is not supported; SELECT instead"),
         ("CONSTRUCT { ?x a :Action } { ?x a :Action }", InvalidValue, "SELECT the subjects"),
+        ("INSERT { ?x :name 'a' } WHERE { ?x a :Action }", InvalidValue, "INSERT is not"),
+        ("# harmless\nDELETE WHERE { ?s ?p ?o }", InvalidValue, "DELETE is not"),
+        ("DROP ALL", InvalidValue, "cannot be answered"),
+        ("SELECT ?x {\n ?x a :Action } ; DROP ALL", InvalidValue, "cannot be answered"),
+        ("SELECT ?x { ?x :name 'a''; DELETE FROM objs; --' }", InvalidValue, "cannot be answered"),
         ("DESCRIBE ?x { ?x a :Failure }", InvalidValue, "SELECT .property .value"),
     ],
 )

@@ -8,7 +8,7 @@ PLANNERS = [PriorityPlanner(), OptimalPlanner()]
 
 
 def switching_rover():
-    """By camera, which is asserted required and can be improved, until its design becomes unfeasible."""
+    """Return a rover that sees by a camera, which is asserted required and can be improved."""
     model = Model("rover")
     light = model.quality_attribute("light")
     model.quality_attribute("power")

@@ -1,4 +1,7 @@
-"""Components as real processes: started, ended, crashed, with parameters; ROS nodes by a stand-in of `ros2`."""
+"""Components as real processes: started, ended, crashed, with parameters.
+
+ROS nodes by a stand-in of `ros2`.
+"""
 
 import json
 import os

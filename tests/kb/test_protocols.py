@@ -116,9 +116,9 @@ def test_wrong_answer_raises_and_fails_no_component(answer, said):
             manager.update()
         clock.now += 10.0
     assert kb.components["camera"].status is not Status.FAILURE
-    assert {attempt.result for attempt in kb.history.attempts if attempt.operation == "activate"} == {
-        "abandoned"
-    }
+    assert {
+        attempt.result for attempt in kb.history.attempts if attempt.operation == "activate"
+    } == {"abandoned"}
     assert all(attempt.end is not None for attempt in kb.history.attempts)
     managed.answer = None
     manager.update()

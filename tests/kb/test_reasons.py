@@ -10,7 +10,6 @@ from models import Clock
 from kb import (
     InvalidValue,
     KnowledgeBase,
-    KnowledgeBaseError,
     Model,
     PriorityPlanner,
     Status,
@@ -84,26 +83,8 @@ def test_an_asserted_status_holds_until_its_time_and_no_longer(story):
             assert (kb.configurations["night"].status is Status.UNFEASIBLE) == (clock.now < until)
 
 
-def test_a_status_that_lapses_is_told_like_one_that_is_retracted():
-    clock, heard = Clock(300.0), []
-    kb = KnowledgeBase(rover(), clock=clock)
-    kb.assert_status("camera", "unfeasible", until=312.0)
-    kb.subscribe(heard.append)
-    before = kb.revision
-    clock.now = 312.0
-    assert kb.revision == before + 1
-    (event,) = heard
-    assert (event.subject, event.text) == (
-        "camera",
-        "camera is no longer asserted unfeasible: its time is over",
-    )
-    assert ("camera", Status.UNFEASIBLE, Status.FEASIBLE) in [
-        change[1:] for change in event.changes
-    ]
-
-
 @pytest.mark.parametrize("until", [math.nan, -math.inf, 300.0, 299.0, "soon", True])
-def test_a_time_that_is_none_or_over_is_refused_and_the_status_stays(until):
+def test_time_that_is_over_is_refused(until):
     kb = KnowledgeBase(rover(), clock=Clock(300.0))
     with pytest.raises(InvalidValue):
         kb.assert_status("camera", "unfeasible", until=until)
@@ -137,41 +118,10 @@ def test_a_status_lapses_also_while_nobody_is_there(lives, reopened):
     ]
 
 
-def test_the_last_word_on_a_status_stands(lives):
-    lives.kb.assert_status("night", "unfeasible", "once", until=310.0)
-    lives.kb.assert_status("night", "unfeasible", "twice", until=330.0)
-    kb = lives.again()
-    lives.clock.now = 320.0
-    assert "until 330 s (twice)" in kb.explain("night").sentence
-    kb.assert_status("night", "unfeasible")
-    assert kb.explain("night").sentence == "night is unfeasible because it is asserted so"
-
-
 # failures
 
 
-def test_why_a_component_failed_is_explained_until_it_recovers(lives):
-    lives.kb.component_failed("lidar", "it gave no answer")
-    kb = lives.again()
-    assert kb.explain("by lidar").sentence == (
-        "by lidar is unfeasible because component lidar has failed (it gave no answer)"
-    )
-    assert kb.query("SELECT ?why { ?f a :Failure ; :reason ?why }") == [("it gave no answer",)]
-    kb.component_recovered("lidar")
-    kb.component_failed("lidar")
-    assert kb.explain("lidar").sentence == "lidar has failed"
-
-
-def test_a_failure_that_is_reported_again_keeps_its_reason_unless_another_is_given():
-    kb = KnowledgeBase(rover())
-    kb.component_failed("lidar", "dust")
-    kb.component_failed("lidar")
-    assert kb.explain("lidar").reason == "dust"
-    kb.component_failed("lidar", "water")
-    assert kb.explain("lidar").reason == "water"
-
-
-def test_why_a_component_is_not_active_is_explained_and_is_the_reason_of_the_plan():
+def test_why_a_component_is_inactive_is_the_plans_reason():
     kb = KnowledgeBase(rover())
     kb.request_action("explore")
     kb.component_failed("camera")
@@ -199,7 +149,7 @@ def carry_out(kb, plan):
     kb.finish_plan(plan, "completed")
 
 
-def test_the_reason_of_a_choice_is_kept_with_what_is_chosen_and_with_the_plan(lives):
+def test_reason_of_a_choice_is_kept_with_choice_and_plan(lives):
     lives.kb.request_action("explore")
     carry_out(
         lives.kb, lives.kb.select({"see": "by camera"}, {"camera": "day"}, "the least energy")
@@ -222,23 +172,6 @@ def test_the_reason_of_a_choice_is_kept_with_what_is_chosen_and_with_the_plan(li
     )
     assert kb.select({}, {"camera": "day"}).reason == "day is feasible and preferred to night"
     assert kb.configurations["day"].reason == ""
-
-
-def test_a_selection_that_needs_no_plan_counts_as_news_once():
-    kb, heard = KnowledgeBase(rover()), []
-    kb.request_action("explore")
-    kb.component_active("lidar", True)
-    kb.subscribe(heard.append)
-    before = kb.revision
-    assert kb.select({"see": "by lidar"}) is None
-    assert kb.revision == before + 1
-    assert [event.text for event in heard] == ["by lidar is selected"]
-    assert ("see", Status.UNSOLVED, Status.SOLVED) in [change[1:] for change in heard[0].changes]
-    assert kb.select({"see": "by lidar"}) is None
-    kb.cancel_action("explore")
-    now = kb.revision
-    assert kb.select({}, {"camera": "day"}).parameters == ()  # selected and obsolete at once
-    assert kb.revision == now
 
 
 def test_a_plan_says_which_request_has_ended_and_why():
@@ -303,7 +236,7 @@ def answer(one):
     return one.plan.reason, one.time, one.is_vetoed, one.reason
 
 
-def test_an_attempt_that_was_under_way_is_abandoned_when_a_store_is_opened_again(tmp_path):
+def test_attempt_under_way_is_abandoned_at_reopening(tmp_path):
     lives = Lives(tmp_path / "mission.sqlite3")
     lives.kb.request_action("explore")
     lives.kb.record_attempt(
@@ -316,50 +249,7 @@ def test_an_attempt_that_was_under_way_is_abandoned_when_a_store_is_opened_again
     lives.kb.close()
 
 
-WRONG = [
-    lambda kb, plan: kb.record_attempt("plan", "camera", "activate"),
-    lambda kb, plan: kb.record_attempt(plan, "camra", "activate"),
-    lambda kb, plan: kb.record_attempt(plan, "camera", "explode"),
-    lambda kb, plan: kb.record_attempt(plan, "camera", "configure", configuration="noon"),
-    lambda kb, plan: kb.finish_attempt(kb.record_attempt(plan, "camera", "activate"), "done"),
-    lambda kb, plan: kb.record_answer(None, is_vetoed=True),
-    lambda kb, plan: kb.record_answer(plan, is_vetoed="no"),
-    lambda kb, plan: kb.record_answer(plan, is_vetoed=True, reason=3),
-    lambda kb, plan: kb.component_failed("camera", None),
-    lambda kb, plan: kb.assert_status("camera", "failure", reason=3),
-    lambda kb, plan: kb.select({"see": "by lidar"}, reason=None),
-]
-
-
-@pytest.mark.parametrize("tell", WRONG)
-def test_what_makes_no_sense_is_refused_and_nothing_is_changed(tell):
-    kb = KnowledgeBase(rover())
-    kb.request_action("explore")
-    plan = kb.select({"see": "by camera"})
-    with pytest.raises(KnowledgeBaseError):
-        tell(kb, plan)
-    assert kb.history.answers == ()
-    assert kb.components["camera"].status is Status.UNSOLVED
-    assert kb.designs["by camera"].is_selected
-
-
 # the end
-
-
-def test_a_subscriber_may_wait_until_what_it_hears_is_on_disk(tmp_path):
-    kb, told = KnowledgeBase(rover(), store=tmp_path / "mission.sqlite3"), []
-
-    def impatient(event):
-        assert kb.flush(10.0)
-        assert kb.store.saved == event.number
-        told.append(event.text)
-
-    leave = kb.subscribe(impatient)
-    kb.measure("light", 0.4)
-    leave()
-    assert told == ["light is 0.4"]
-    assert kb.flush(10.0)
-    kb.close()
 
 
 # in short
@@ -375,33 +265,3 @@ def test_a_base_and_a_situation_say_in_short_what_they_are():
 
 def test_the_time_is_that_of_the_clock(lives):
     assert lives.kb.now == lives.kb.situation().now == 300.0
-
-
-def test_an_attribute_is_explained_by_what_is_known_of_it_and_what_needs_it():
-    clock = Clock(10.0)
-    kb = KnowledgeBase(rover(), clock=clock)
-    assert (
-        str(kb.explain("light"))
-        == "light is not measured; configuration day needs light >= 0.5: not evaluated"
-    )
-    kb.measure("light", 0.5 - 1e-15)
-    clock.now = 12.0
-    explanation = kb.explain(kb.attributes["light"])
-    assert str(explanation) == (
-        "light is just below 0.5 (measured 2.0 s ago); configuration day needs light >= 0.5: violated"
-    )
-    assert explanation.status is None
-    assert [cause.name for cause in explanation.causes] == ["light >= 0.5"]
-
-
-def test_what_was_said_of_an_element_goes_with_it():
-    clock, heard = Clock(0.0), []
-    kb = KnowledgeBase(rover(), clock=clock)
-    kb.assert_status("night", "unfeasible", "it failed", until=10.0)
-    kb.model.remove("night")
-    kb.model.components["camera"].configuration("night")
-    kb.subscribe(heard.append)
-    clock.now = 20.0
-    assert kb.configurations["night"].status is Status.FEASIBLE
-    assert "failed" not in str(kb.explain("night"))
-    assert heard == []

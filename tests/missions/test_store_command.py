@@ -3,7 +3,7 @@
 from typer.testing import CliRunner
 
 from kb import KnowledgeBase, Model
-from missions.commands.store import app
+from missions.commands import store as app
 
 
 def test_store_command_copies_a_store_and_shows_it(tmp_path):

@@ -1,4 +1,4 @@
-"""A plain twin of BehaviorTree.CPP 4: its nodes told once more, statement by statement, to judge what is read from XML.
+"""A plain twin of BehaviorTree.CPP 4, to judge what is read from XML.
 
 Written from how its nodes are documented and behave, without a thought of py_trees: a node has a
     status of its own,
@@ -52,7 +52,7 @@ BY_LETTER = {"S": SUCCESS, "F": FAILURE, "R": RUNNING, "K": SKIPPED}
 
 
 class Board(UserDict):
-    """What one tree sees: entries by key, None for one that has no value yet, and how often each was written."""
+    """What one tree sees: entries by key (None: no value yet), and how often each was written."""
 
     def __init__(self, around=None, remapped=(), constants=(), *, is_auto=False):
         self.around, self.remapped, self.is_auto = around, dict(remapped), is_auto
@@ -92,7 +92,7 @@ class Board(UserDict):
 
 
 class World:
-    """What all nodes share: leaves as {tag: (kind, script)}, what happened, blackboards, the time [s]."""
+    """What all nodes share: leaves by tag, what happened, blackboards, the time [s]."""
 
     def __init__(self, leaves, enums, ports):
         self.enums = enums

@@ -1,4 +1,4 @@
-"""The request of an action is made when a behaviour starts and released exactly once, however it ends."""
+"""An action is requested when a behaviour starts and released once, however it ends."""
 
 import pytest
 from py_trees.common import Status

@@ -4,6 +4,7 @@ from xml.etree import ElementTree
 
 from py_trees.behaviours import Running
 from py_trees.common import Status
+from xml_leaves import wrapped
 
 from kb import KnowledgeBase, Model
 from rosa_bt import BehaviourRegistry, ForAction, RosaAction, do_until_unfeasible, load_xml
@@ -45,7 +46,7 @@ def test_text_shows_statuses_feasibility_and_the_reason_once():
 def test_unknown_action_is_drawn_as_not_known():
     kb = mission().children[0].children[0].kb
     registry = BehaviourRegistry(kb=kb)
-    text = """<root BTCPP_format="4"><BehaviorTree ID="Main"><IsActionFeasible action="{a}"/></BehaviorTree></root>"""
+    text = wrapped('<IsActionFeasible action="{a}"/>')
     tree = load_xml(text, registry)
     for root, key in ((Act("no ports", kb), None), (tree, None), (tree, "explor")):
         if key is not None:

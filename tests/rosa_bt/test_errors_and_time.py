@@ -1,4 +1,4 @@
-"""Nothing is swallowed, durations follow the runner's clock, and `setup` reaches every behaviour."""
+"""Nothing is swallowed, durations follow the runner's clock, `setup` reaches everybody."""
 
 import logging
 

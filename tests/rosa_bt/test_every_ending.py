@@ -1,4 +1,4 @@
-"""Whatever a tree does and whatever happens to it, nothing is left open, released twice or running."""
+"""Whatever happens to a tree, nothing is left open, released twice or running."""
 
 from contextlib import suppress
 from dataclasses import dataclass

@@ -26,7 +26,7 @@ def rover() -> Model:
 
 
 class Act(RosaAction):
-    """Runs until its script says otherwise, with hooks of its own at every place that can be interrupted."""
+    """Runs until its script says otherwise, with hooks at every place to interrupt."""
 
     def __init__(self, kb, action, script=()):
         super().__init__(action, kb, action)

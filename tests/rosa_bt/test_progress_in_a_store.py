@@ -1,12 +1,13 @@
-"""Where an action is outlives the program: a store keeps it, and the next program's tree goes on from there."""
+"""A store keeps where an action is, and the next program's tree goes on from there."""
 
 import pytest
 from py_trees.common import Status
+from xml_leaves import wrapped
 
 from kb import KnowledgeBase, Model
 from rosa_bt import BehaviourRegistry, RosaAction, TreeRunner, load_xml
 
-XML = '<root BTCPP_format="4"><BehaviorTree ID="Main"><Sequence><count/></Sequence></BehaviorTree></root>'
+XML = wrapped("<Sequence><count/></Sequence>")
 
 
 class Count(RosaAction):

@@ -1,4 +1,4 @@
-"""When to leave for a detour is decided by what the mission then gains, and told with the reason."""
+"""When to leave for a detour is decided by what the mission then gains."""
 
 from random import Random
 

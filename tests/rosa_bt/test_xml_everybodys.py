@@ -1,4 +1,4 @@
-"""Files in the style of those that people have: each is read, runs, and is noted as it should be."""
+"""Files in the style of those that people have are read, noted and run."""
 
 import re
 from pathlib import Path

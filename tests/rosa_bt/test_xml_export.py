@@ -139,7 +139,9 @@ FULL = """
     </Sequence>
   </BehaviorTree>
   <BehaviorTree ID="Sub"><Condition ID="c" _while="v == 1 || v == 2" /></BehaviorTree>
-  <TreeNodesModel><Condition ID="c" /><SubTree ID="Sub"><input_port name="v" default="2" /></SubTree></TreeNodesModel>
+  <TreeNodesModel>
+    <Condition ID="c" /><SubTree ID="Sub"><input_port name="v" default="2" /></SubTree>
+  </TreeNodesModel>
 </root>
 """
 

@@ -86,7 +86,7 @@ def test_leaf_that_raises_ends_alone(seed, hook, at):
 
 @st.composite
 def py_trees_trees(draw):
-    """Draw a function that makes a tree of what py_trees shares with BehaviorTree.CPP, and its leaves."""
+    """Draw a function that makes a tree that BehaviorTree.CPP can have, and its leaves."""
     leaves = {}
 
     def node(depth):

@@ -34,7 +34,8 @@ EXAMPLES = {
         "a:s:R | a:r:S b:s:R | b:halt => F | a:s:R",
     ),
     "GoalUpdatedController": (
-        '<PipelineSequence><GoalUpdatedController goal="{g}"><a/></GoalUpdatedController><b/></PipelineSequence>',
+        '<PipelineSequence><GoalUpdatedController goal="{g}"><a/></GoalUpdatedController>'
+        "<b/></PipelineSequence>",
         "a:RSS b:R",
         "g=1 a:s:R | g=1 a:r:S b:s:R | g=1 b:r:R | g=2 a:s:S b:r:R | g=2 b:r:R",
     ),
@@ -87,7 +88,7 @@ def leaves_of(scripts):
 
 
 def perform(tree, said, script, clock):
-    """Tick a tree as often as a script says, and return what happened in the words of the script."""
+    """Tick a tree as a script says, and return what happened in its words."""
     happened = []
     for step in script.split(" | "):
         settings = re.findall(r"(\w+)=(\S+)", step)

@@ -58,16 +58,19 @@ def load(content, heard=None, **trees):
 @pytest.mark.parametrize(
     ("content", "inner", "expected"),
     [
-        ('<Sequence><Add one="2" total="{s}"/><Say what="{s}" times="3" loud="true"/></Sequence>', "<Say/>",
+        ('<SubTree ID="Sub" x="3" total="{=}"/>',
+         '<Sequence><Add one="2" total="{s}"/><Say what="{s}" times="3" loud="true"/></Sequence>',
          (12.0, 3, True)),
-        ('<Sequence><SetBlackboard value="4.5" output_key="t"/><Add one="{t}" other="{x}" total="{=}"/>'
-         '<Say what="{total}"/></Sequence>', "<Say/>", (5.5, 1, False)),
+        ('<SubTree ID="Sub" x="3.0"/>',
+         '<Sequence><SetBlackboard value="4.5" output_key="t"/>'
+         '<Add one="{t}" other="{x}" total="{=}"/><Say what="{total}"/></Sequence>',
+         (7.5, 1, False)),
         ('<SubTree ID="Sub" y="{x}"/>', '<Say what="{y}"/>', (1, 1, False)),
         ('<SubTree ID="Sub" y="text"/>', '<Say what="{y}"/>', ("text", 1, False)),
         ('<SubTree ID="Sub" x="7" _autoremap="true"/>', '<Say what="{x}"/>', (7, 1, False)),
         ('<SubTree ID="Sub"/>', '<Say what="{@x}"/>', (1, 1, False)),
-        ('<Sequence><SubTree ID="Sub" out="{z}"/><Say what="{z}"/></Sequence>', '<Script code="out := 3"/>',
-         (3, 1, False)),
+        ('<Sequence><SubTree ID="Sub" out="{z}"/><Say what="{z}"/></Sequence>',
+         '<Script code="out := 3"/>', (3, 1, False)),
     ],
 )  # fmt: skip
 def test_leaf_gets_literals_keys_and_defaults(content, inner, expected):

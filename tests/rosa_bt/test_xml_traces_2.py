@@ -1,4 +1,4 @@
-"""The second set of what BehaviorTree.CPP 4.10 recorded of itself: scripts, rules, ports, blackboards and refusals.
+"""More that BehaviorTree.CPP 4.10 recorded: scripts, rules, ports, blackboards and refusals.
 
 `btcpp_traces_2.json` says in `about` how its cases are read and judged.
 """
