@@ -157,7 +157,7 @@ class _Explainer:
         state = self._state
         status = state.status.get(node)
         reason = ""
-        reasons: Reasons = ()
+        groups: list[list[Node]] = []
         if node in state.asserted:
             assertion = state.reason("asserted", node)
             reason = assertion.text
@@ -172,57 +172,51 @@ class _Explainer:
             ]
             words = _first(users or ["no constraint compares it"], "more constraints")
             fact = "; ".join([self._measurement(node), *words])
-            reasons = self._each(node.constraints)
+            groups = [[constraint] for constraint in node.constraints]
         elif node.kind == "constraint":
             fact = self._comparison(node, status)
         else:
-            fact, reasons = self._causes(node, status)
+            fact, groups = self._causes(node, status)
             reason = state.reason("failed", node).text if status is Status.FAILURE else ""
         choice = state.reasons.get(("selected", node), NO_REASON).text
+        reasons = tuple(tuple(map(self.status, group)) for group in groups if group)
         return Explanation(node.kind, node.name, status, fact, reasons, reason, choice)
 
-    def _causes(self, node: Node, status: Status) -> tuple[str, Reasons]:
-        """Return the fact and the reasons of a status that is inferred and not "feasible"."""
+    def _causes(self, node: Node, status: Status) -> tuple[str, list[list[Node]]]:
+        """Return the fact, and the nodes of each reason, of an inferred status."""
         state = self._state
-        parts = [part for part in node.requires if part in state.selected]
-        if node.kind not in ("function", "component"):
-            parts = node.requires
+        has_choices = node.kind in ("function", "component")
+        parts = node.requires
+        if has_choices:
+            parts = [part for part in parts if part in state.selected]
+
+        def each(nodes: Iterable[Node], *statuses: Status) -> list[list[Node]]:
+            return [[part] for part in nodes if state.status[part] in statuses]
+
         if status is Status.UNFEASIBLE:
-            is_bare = node.kind == "function" and not node.requires
-            return "it has no design" if is_bare else "", self._violations(node)
+            groups = each(node.constraints, Status.VIOLATED)
+            impossible = each(node.requires, *IMPOSSIBLE)
+            if not has_choices:
+                groups += impossible
+            elif len(impossible) == len(node.requires):
+                groups.append(list(node.requires))
+            return "" if groups[0] else "it has no design", groups
         if status is Status.CONFIGURATION_ERROR:
-            return "", self._each(self._with(parts, Status.UNFEASIBLE))
+            return "", each(parts, Status.UNFEASIBLE)
         if status is Status.IMPLICIT_CONFIGURATION_ERROR:
-            return "", self._each(self._with(parts, *_ERRORS))
+            return "", each(parts, *_ERRORS)
         if status is Status.SOLVED:
-            return "it is required, and all that it needs is in place", ()
+            return "it is required, and all that it needs is in place", []
         if status is not Status.UNSOLVED:  # a failure needs no further reason
-            return _POSSIBLE[node.kind] if status is Status.FEASIBLE else "", ()
+            return _POSSIBLE[node.kind] if status is Status.FEASIBLE else "", []
         if node.kind == "component" and node not in state.active:
-            return f"it is required and not active{state.reason('active', node)}", ()
+            return f"it is required and not active{state.reason('active', node)}", []
         if node.kind == "component" or not parts:
             kind = "configurations" if node.kind == "component" else "designs"
-            return f"none of its {kind} is selected{state.reason('unselected', node)}", ()
+            return f"none of its {kind} is selected{state.reason('unselected', node)}", []
         if node.kind == "function":
-            return "", self._all(parts)
-        return "", self._each(part for part in parts if state.status[part] is not Status.SOLVED)
-
-    def _violations(self, node: Node) -> Reasons:
-        violations = self._each(self._with(node.constraints, Status.VIOLATED))
-        impossible = self._with(node.requires, *IMPOSSIBLE)
-        if node.kind in ("action", "function design"):
-            return violations + self._each(impossible)
-        return violations + self._all(impossible if impossible == node.requires else ())
-
-    def _with(self, nodes: Iterable[Node], *statuses: Status) -> list[Node]:
-        return [node for node in nodes if self._state.status[node] in statuses]
-
-    def _each(self, nodes: Iterable[Node]) -> Reasons:
-        return tuple((self.status(node),) for node in nodes)
-
-    def _all(self, nodes: Iterable[Node]) -> Reasons:
-        causes = tuple(map(self.status, nodes))
-        return (causes,) if causes else ()
+            return "", [list(parts)]
+        return "", [[part] for part in parts if state.status[part] is not Status.SOLVED]
 
     def _measurement(self, attribute: Node) -> str:
         state = self._state

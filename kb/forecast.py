@@ -10,8 +10,7 @@ under distribution shift", NeurIPS 2021).
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from itertools import combinations, groupby, pairwise
 from statistics import median
 from typing import Any, Final, NamedTuple
@@ -23,7 +22,7 @@ from kb.network import Node
 from kb.records import RequiredAction
 from kb.state import State
 from kb.status import OPERATORS, Status
-from kb.views import AttributeView, Readable
+from kb.views import Readable
 
 LEVEL: Final = 0.9
 """How often an interval shall contain what comes."""
@@ -140,12 +139,9 @@ class Forecast(NamedTuple):
         return self.reason
 
 
-class Line(NamedTuple):
-    """The value at the start of a line, its slope [1/s], and whether that was not learned yet."""
-
-    value: float
-    slope: float
-    is_guess: bool = False
+def _unknown(attribute: str, why_not: str, time: float, now: float) -> Forecast:
+    reason = f"it is not known what {attribute} is in {time - now:.3g} s: {why_not}"
+    return Forecast(attribute, time, None, None, None, LEVEL, reason)
 
 
 class Course:
@@ -177,8 +173,8 @@ class Course:
         self._step = 2.0 ** math.floor(math.log2(median(steps or [1.0])))
         self._radii = list(self._checked_radii())
 
-    def at(self, time: float, now: float) -> Forecast | None:
-        """Forecast the attribute for a time [s]; None for too few measurements."""
+    def at(self, time: float, now: float) -> Forecast:
+        """Forecast the attribute for a time [s]."""
         element = self._element
         passed = time - self._series.times[-1]
         ahead = max(passed, self._step)
@@ -186,19 +182,20 @@ class Course:
         line = self._line(len(self._rates) - 1, self._step * 2.0**knot)
         radius = self._radius(knot, ahead)
         if line is None or (radius is None and not self._is_by_rates):
-            return None
-        expected = line.value + line.slope * passed
+            return _unknown(element.name, "too little was measured to go so far ahead", time, now)
+        last, slope = line
+        expected = last + slope * passed
         value = clamped(element, expected)
         low = high = None
         span = "how exactly is not known"
-        if radius is not None and not line.is_guess:
+        if radius is not None:
             low = clamped(element, expected - radius)
             high = clamped(element, expected + radius)
             span = f"{low:.3g} to {high:.3g}"
         change = "stays as it is"
-        if line.slope:
-            speed = element.amount(f"{abs(line.slope):.3g}")
-            change = f"{'rises' if line.slope > 0 else 'falls'} by {speed}/s"
+        if slope:
+            speed = element.amount(f"{abs(slope):.3g}")
+            change = f"{'rises' if slope > 0 else 'falls'} by {speed}/s"
         actions = ", ".join(sorted(filter(None, self._rates[-1])))
         if actions:
             change += f" while {actions}"
@@ -225,17 +222,20 @@ class Course:
                 self._slopes[name] = slope - self._slope(names - learners)
                 self._unlearned.remove(name)
 
+    def _is_guess(self, place: int) -> bool:
+        """Return whether a rate that was not learned yet applies."""
+        return self._is_by_rates and not self._unlearned.isdisjoint(self._rates[place])
+
     def _slope(self, names: Iterable[str]) -> float:
         return math.fsum(self._slopes[name] for name in names)
 
-    def _line(self, place: int, ahead: float) -> Line | None:
-        """Continue from a place, to be right about so far ahead [s]."""
+    def _line(self, place: int, ahead: float) -> tuple[float, float] | None:
+        """Return the value and the slope at a place of a line that goes so far ahead [s]."""
         times, values = self._series
         if self._is_by_rates:
-            names = self._rates[place]
-            return Line(values[place], self._slope(names), not names.isdisjoint(self._unlearned))
+            return values[place], self._slope(self._rates[place])
         if self._element.forecasting == "constant":
-            return Line(values[place], 0.0)
+            return values[place], 0.0
         end = times[place]
         fewest = max(place + 1 - _FEWEST_POINTS, 0)
         latest = self._series.part(min(fewest, bisect_left(times, end - 2 * ahead)), place)
@@ -243,11 +243,11 @@ class Course:
         if slope is None:
             return None
         heights = [value - slope * (time - end) for time, value in zip(*latest, strict=True)]
-        return Line(median(heights), slope)
+        return median(heights), slope
 
     def _radius(self, knot: int, ahead: float) -> float | None:
         """Return how far a forecast may be off, from the next span that was checked."""
-        if not self._radii:
+        if not self._radii or self._is_guess(len(self._rates) - 1):
             return None
         last = min(knot, len(self._radii) - 1)
         share = ahead / (self._step * 2.0**last)
@@ -287,11 +287,14 @@ class Course:
         if times[came] > then + 2 * self._step:  # seldom measured: it is what it was last
             came -= 1
         line = self._line(place, ahead)
-        if line is None or line.is_guess or self._restorations[place] < self._restorations[came]:
+        if line is None or self._restorations[place] < self._restorations[came]:
+            return None
+        if self._is_guess(place):
             return None
         if self._is_steady and len(set(self._rates[place:came])) > 1:
             return None
-        value = line.value + line.slope * (max(times[came], then) - times[place])
+        value, slope = line
+        value += slope * (max(times[came], then) - times[place])
         return abs(values[came] - clamped(self._element, value))
 
 
@@ -326,8 +329,8 @@ class Forecaster:
         """
         now = self._base.now
         then = now + _horizon(horizon)
-        actions = self.doing(doing)
-        return self.course(attribute, now, actions, is_stated=doing is not None)(then)
+        course = self.course(attribute, self.doing(doing), is_stated=doing is not None)
+        return course(then, now)
 
     def doing(self, actions: Iterable[str] | None) -> frozenset[str]:
         """Return the names of the actions done meanwhile; by default those required now."""
@@ -337,40 +340,31 @@ class Forecaster:
         return frozenset(self._base.actions[name].name for name in names)
 
     def course(
-        self, attribute: str, now: float, doing: frozenset[str], *, is_stated: bool = True
-    ) -> Callable[[float], Forecast]:
-        """Return a function that forecasts an attribute for a time [s] while actions are done."""
-        view = self._base.attributes[attribute]
-        course = self._course(view, doing, is_stated, self._base.log.last)
-
-        def forecast(time: float) -> Forecast:
-            why_not = course
-            if isinstance(course, Course):
-                forecast = course.at(time, now)
-                if forecast is not None:
-                    return forecast
-                why_not = "too little was measured to go so far ahead"
-            reason = f"it is not known what {view.name} is in {time - now:.3g} s: {why_not}"
-            return Forecast(view.name, time, None, None, None, LEVEL, reason)
-
-        return forecast
+        self, attribute: str, doing: frozenset[str], *, is_stated: bool = True
+    ) -> Callable[[float, float], Forecast]:
+        """Return a function that forecasts an attribute for a time, from now [s]."""
+        node = self._base.attributes[attribute].node
+        return self._course(node, doing, is_stated, self._base.log.last)
 
     def _find_course(
-        self, view: AttributeView, doing: frozenset[str], is_stated: bool, _: int
-    ) -> Course | str:
-        """Return how an attribute goes on after an event, or why that is not known."""
-        element = view.node.attribute
+        self, node: Node, doing: frozenset[str], is_stated: bool, _: int
+    ) -> Callable[[float, float], Forecast]:
+        element = node.attribute
+        view = self._base.attributes[node.name]
+        why_not = ""
         if not element.forecasting and not element.rates:
-            return "its model says nothing of that (see Attribute.forecast)"
-        if view.value is None:
-            return "it is not measured"
-        if view.is_stale:
-            return "what was measured is stale"
+            why_not = "its model says nothing of that (see Attribute.forecast)"
+        elif view.value is None:
+            why_not = "it is not measured"
+        elif view.is_stale:
+            why_not = "what was measured is stale"
+        if why_not:
+            return partial(_unknown, node.name, why_not)
         latest = dict(view.history[-_MOST_SAMPLES:])  # of one instant, the last
         series = Series(tuple(latest), tuple(latest.values()))
         rates = rates_by_measurement(element, series.times, self._base.history.actions)
         rates[-1] = _applying(element, doing)
-        return Course(view.node, series, rates, is_stated)
+        return Course(node, series, rates, is_stated).at
 
 
 def clamped(element: Attribute, value: float) -> float:
@@ -467,70 +461,65 @@ def feasible_until(
         courses = {}
         for constraint in _constraints(node):
             if state.status[constraint] is Status.SATISFIED:
-                courses[constraint] = cache(
-                    base.forecast.course(constraint.requires[0].name, now, done)
-                )
-        search = _Search(state, node, courses, now, ahead / (_LOOKS * _TICKS))
-        ticks = {side: search.first(side) for side in (_EXPECTED, _WORSE, _BETTER)}
-        reason = "nothing is known that makes it unfeasible"
-        is_bounded = False
-        for side, tick in reversed(ticks.items()):
-            if tick is not None:
-                reason, is_bounded = search.describe(tick, side)
-    at, earliest, latest = (tick if tick is None else search.time(tick) for tick in ticks.values())
-    return FeasibleUntil(node.name, at, earliest, latest, reason, now, ahead, is_bounded)
+                course = base.forecast.course(constraint.constraint.attribute, done)
+                courses[constraint] = cache(partial(course, now=now))
+        sides = (_EXPECTED, _WORSE, _BETTER)
+        ends = [_end(state, node, courses, now, ahead, side) for side in sides]
+    expected, earliest, latest = (end and end.time for end in ends)
+    for end in ends:
+        if end is not None:
+            times = (expected, earliest, latest)
+            return FeasibleUntil(node.name, *times, end.reason, now, ahead, end.is_bounded)
+    reason = "nothing is known that makes it unfeasible"
+    return FeasibleUntil(node.name, None, None, None, reason, now, ahead)
 
 
-@dataclass
-class _Search:
-    """Looks for the first tick at which an action is unfeasible by forecasts of what it needs."""
+class _End(NamedTuple):
+    time: float
+    reason: str
+    is_bounded: bool
 
-    state: State
-    action: Node
-    courses: Mapping[Node, Callable[[float], Forecast]]
-    now: float
-    tick_s: float
 
-    def time(self, tick: int) -> float:
-        return self.now + tick * self.tick_s
+def _end(
+    state: State,
+    action: Node,
+    courses: Mapping[Node, Callable[[float], Forecast]],
+    now: float,
+    within: float,
+    side: int,
+) -> _End | None:
+    """Return when and why an action is unfeasible first, for one end of the intervals."""
 
-    def first(self, side: int) -> int | None:
-        """Return the first tick for one end of the intervals; None if there is none."""
-        is_unfeasible = cache(self._is_unfeasible)
-        for start in range(0, _LOOKS * _TICKS, _TICKS):
-            end = start + _TICKS
-            if is_unfeasible(self.violated(end, side)):
-                return bisect_left(
-                    range(end),
-                    True,
-                    start,
-                    key=lambda tick: is_unfeasible(self.violated(tick, side)),
-                )
-        return None
+    def time(tick: int) -> float:
+        return now + within * tick / (_LOOKS * _TICKS)
 
-    def describe(self, tick: int, side: int) -> tuple[str, bool]:
-        """Return what makes the action unfeasible, and whether its interval is known."""
-        before = self.violated(tick - 1, side)
-        node = min(self.violated(tick, side), key=before.__contains__)
-        forecast = self.courses[node](self.time(tick))
-        threshold = node.attribute.amount(exact(node.constraint.value))
-        reason = f"{node.attribute.name} {forecast.change} and reaches {threshold}"
-        return reason, forecast.low is not None
-
-    def violated(self, tick: int, side: int) -> tuple[Node, ...]:
-        time = self.time(tick)
-        return tuple(
+    def violated(tick: int) -> list[Node]:
+        return [
             node
-            for node, course in self.courses.items()
-            if _is_violated(node.constraint, course(time), side)
-        )
+            for node, course in courses.items()
+            if _is_violated(node.constraint, course(time(tick)), side)
+        ]
 
-    def _is_unfeasible(self, violated: tuple[Node, ...]) -> bool:
-        supposed = self.state.copy()
-        for node in violated:
+    def is_unfeasible(tick: int) -> bool:
+        nodes = violated(tick)
+        if not nodes:
+            return False
+        supposed = state.copy()
+        for node in nodes:
             supposed.hold(node, Status.VIOLATED)
         supposed.infer()
-        return supposed.status[self.action] is Status.UNFEASIBLE
+        return supposed.status[action] is Status.UNFEASIBLE
+
+    for end in range(_TICKS, _LOOKS * _TICKS + 1, _TICKS):
+        if is_unfeasible(end):
+            tick = bisect_left(range(end), True, end - _TICKS, key=is_unfeasible)
+            before = violated(tick - 1)
+            node = min(violated(tick), key=before.__contains__)
+            forecast = courses[node](time(tick))
+            threshold = node.attribute.amount(exact(node.constraint.value))
+            reason = f"{forecast.attribute} {forecast.change} and reaches {threshold}"
+            return _End(time(tick), reason, forecast.low is not None)
+    return None
 
 
 def _constraints(node: Node) -> Iterator[Node]:

@@ -16,7 +16,7 @@ from kb.knowledge_base import KnowledgeBase
 from kb.network import Node
 from kb.planning import Choice, choice_by_priority, ranked
 from kb.records import ReconfigurationPlan
-from kb.state import State
+from kb.state import State, in_order
 
 DIGITS: Final = 12
 """The digits to which the sum of all amounts is known."""
@@ -174,8 +174,7 @@ class Problem:
 
     One design is chosen for each function, and one configuration for each component that a chosen
     design needs. The estimations of what is chosen or active add up; of absolute ones of an
-    attribute the worst counts. The problem copies what it needs, so the state may change while it
-    is solved.
+    attribute the worst counts. The state may change while the problem is solved.
 
     Args:
         state: the present facts.
@@ -190,40 +189,31 @@ class Problem:
         self, state: State, weights: Mapping[str, float], switching_cost: SwitchingCost = 0.0
     ) -> None:
         network = state.network
-        functions = [node for node in network.functions.values() if state.is_required(node)]
-        self._designs = {node: ranked(state, node) for node in functions}
-        parts = {part for node in functions for design in node.requires for part in design.requires}
-        components = sorted(parts, key=lambda node: node.index)
-        self._configurations = {node: ranked(state, node) for node in components}
-        self._obsolete = [node for node in state.obsolete() if node.kind == "component"]
-        self._selected = set(state.selected)
-        self._active = set(state.active)
-        self._asserted = set(state.asserted_required)
-        self._kept = [  # of functions that are stuck with what they have
-            design
-            for node in functions
-            for design in node.requires
-            if not self._designs[node] and design in state.selected
-        ]
-        self._weights = {name: weight for name, weight in weights.items() if weight}
+        self._weights = weights
         self._gains: dict[Node, list[tuple[Estimation, float]]] = {}
+        total = 1.0
         for estimation in network.model.estimations:
-            weight = self._weights.get(estimation.attribute)
-            if weight is not None:
-                gains = self._gains.setdefault(network.find(estimation.causer), [])
-                gains.append((estimation, weight * estimation.adds))
+            gain = weights.get(estimation.attribute, 0.0) * estimation.adds
+            if gain:
+                self._gains.setdefault(network.find(estimation.causer), []).append(
+                    (estimation, gain)
+                )
+                total += abs(gain)
         if isinstance(switching_cost, Mapping):
             costs = {network.components[name]: cost for name, cost in switching_cost.items()}
         else:
             costs = dict.fromkeys(network.components.values(), switching_cost)
-        amounts = [gain for gains in self._gains.values() for _, gain in gains]
-        total = sum(map(abs, (*amounts, *costs.values())))
-        self._scale = 10.0 ** (DIGITS - math.ceil(math.log10(total or 1.0)))
-        self._costs = {node: self._whole(cost) for node, cost in costs.items()}
-        concerned = {*components, *self._kept}
-        for nodes in (*self._designs.values(), *(node.requires for node in components)):
-            concerned.update(nodes)
-        self.is_weighed = not concerned.isdisjoint(self._gains)
+        total += sum(costs.values())
+        self._scale = 10.0 ** (DIGITS - math.ceil(math.log10(total)))
+        self._costs = {node: round(cost * self._scale) for node, cost in costs.items()}
+        self._cp = load_cp_model()
+        self._model: Untyped = self._cp.CpModel()
+        self._worth: list[Untyped] = []
+        self._switching: list[Untyped] = []
+        self._levels: dict[str, list[tuple[Untyped, int]]] = {}
+        self._options: dict[Node, Mapping[Node | None, Untyped]] = {}
+        self.is_weighed = False
+        self._encode(state)
 
     def solve(self, effort: float = 0.3) -> Optimum | None:
         """Return the best choice found within an effort; of equally good ones the first.
@@ -232,9 +222,7 @@ class Problem:
         then of the next function, and so on, and then by the configurations of the components in
         the same way. None: no choice was found within the effort.
         """
-        cp = load_cp_model()
-        self._model: Untyped = cp.CpModel()
-        self._encode()
+        cp = self._cp
         model = self._model
         solver: Untyped = cp.CpSolver()
         for name, value in _SETTINGS.items():
@@ -244,12 +232,12 @@ class Problem:
         status = solver.solve(model)
         if status not in (cp.OPTIMAL, cp.FEASIBLE):
             return None
-        gain = round(solver.objective_value)
+        worth = round(solver.objective_value)
         bound = round(solver.best_objective_bound)
         choice, switching = self._read(solver)
         is_proven = False
-        if status == cp.OPTIMAL:  # now the first choice of that gain, without another presolving
-            model.add(sum(self._worth) >= gain)
+        if status == cp.OPTIMAL:  # now the first choice of that worth, without another presolving
+            model.add(sum(self._worth) >= worth)
             model.clear_objective()
             model.clear_hints()
             for options in self._options.values():
@@ -261,43 +249,45 @@ class Problem:
             is_proven = solver.solve(model) in (cp.OPTIMAL, cp.FEASIBLE)
             if is_proven:
                 choice, switching = self._read(solver)
-        value = gain / self._scale
+        value = worth / self._scale
         optimum = Optimum(choice, value, switching, bound / self._scale, is_proven)
         reason = self._reason(optimum, effort)
         return replace(optimum, choice=choice._replace(reason=reason), reason=reason)
 
-    def _whole(self, amount: float) -> int:
-        return round(amount * self._scale)
-
-    def _encode(self) -> None:
-        self._worth: list[Untyped] = []
-        self._switching: list[Untyped] = []
-        self._levels: dict[str, list[tuple[Untyped, int]]] = {}
-        self._options: dict[Node, Mapping[Node | None, Untyped]] = {}
-        self._add(1, self._kept)
-        for node in self._obsolete:
-            self._add(1, (), self._cost_to_switch(node))
-        for node, designs in self._designs.items():
+    def _encode(self, state: State) -> None:
+        kept = []  # designs of functions that are stuck with what they have
+        components: set[Node] = set()
+        for node in state.obsolete():
+            if node.kind == "component":
+                self._add(1, (), self._cost_to_switch(node))
+        for node in state.network.functions.values():
+            if not state.is_required(node):
+                continue
+            designs = ranked(state, node)
             if designs:
-                self._options[node] = {design: self._literal([design]) for design in designs}
+                self._options[node] = {design: self._literal(state, [design]) for design in designs}
                 self._model.add_exactly_one(self._options[node].values())
-        for node, configurations in self._configurations.items():
-            self._component(node, configurations)
+            else:
+                kept += [design for design in node.requires if design in state.selected]
+            components.update(part for design in node.requires for part in design.requires)
+        self._add(1, kept)
+        for node in in_order(components):
+            is_kept = any(node in design.requires for design in kept)
+            self._component(state, node, is_kept)
         self._worth += [self._worst(levels) for levels in self._levels.values()]
 
-    def _component(self, node: Node, configurations: Iterable[Node]) -> None:
+    def _component(self, state: State, node: Node, is_kept: bool) -> None:
         """Encode that one configuration is chosen if the component is needed, else none."""
         to_switch = self._cost_to_switch(node)
-        is_active = node in self._active
+        is_active = node in state.active
         to_start = 0 if is_active else to_switch
-        selected = [part for part in node.requires if part in self._selected]
+        selected = [part for part in node.requires if part in state.selected]
         options: dict[Node | None, Untyped] = {}
-        for part in configurations:
+        for part in ranked(state, node):
             to_configure = 0 if part in selected else self._costs.get(node, 0)
-            options[part] = self._literal([node, part], to_start + to_configure)
+            options[part] = self._literal(state, [node, part], to_start + to_configure)
         if not options:
-            options[None] = self._literal([node, *selected], to_start)
-        self._options[node] = options
+            options[None] = self._literal(state, [node, *selected], to_start)
         needed = self._model.new_bool_var("")
         self._model.add(sum(options.values()) == needed)
         users = []
@@ -306,9 +296,10 @@ class Problem:
             literals = [literal for design, literal in designs.items() if design in node.used_by]
             self._model.add(sum(literals) <= needed)  # at most one of them is chosen
             users += literals
-        stays = is_active and not any(map(self._is_replaceable, node.used_by))
-        is_kept = any(node in design.requires for design in self._kept)
-        if is_kept or (stays and node in self._asserted):
+        is_replaceable = any(design.used_by[0] in self._options for design in state.users(node))
+        self._options[node] = options
+        stays = is_active and not is_replaceable
+        if is_kept or (stays and node in state.asserted_required):
             self._model.add(needed == 1)
         else:
             self._model.add_bool_or([*users, ~needed])
@@ -317,18 +308,15 @@ class Problem:
         elif is_active:
             self._add(1 - needed, (), to_switch)
 
-    def _is_replaceable(self, design: Node) -> bool:
-        return design in self._selected and bool(self._designs.get(design.used_by[0]))
-
     def _cost_to_switch(self, component: Node) -> int:
         """Return the cost of starting or stopping a component; a plain one is not switched."""
         is_plain = component.element.kind is ComponentKind.PLAIN
         return 0 if is_plain else self._costs.get(component, 0)
 
-    def _literal(self, nodes: list[Node], cost: int = 0) -> Untyped:
+    def _literal(self, state: State, nodes: list[Node], cost: int = 0) -> Untyped:
         """Return a variable for a choice; what is chosen now is a hint for the search."""
         literal = self._model.new_bool_var("")
-        self._model.add_hint(literal, nodes[-1] in self._selected)
+        self._model.add_hint(literal, nodes[-1] in state.selected)
         self._add(literal, nodes, cost)
         return literal
 
@@ -336,11 +324,12 @@ class Problem:
         """Add estimations, less a switching cost, to the worth where a literal is true."""
         worth = -cost
         for estimation, gain in [pair for node in nodes for pair in self._gains.get(node, ())]:
+            self.is_weighed = True
+            amount = round(gain * self._scale)
             if estimation.kind is EstimationKind.ABSOLUTE:
-                levels = self._levels.setdefault(estimation.attribute, [])
-                levels.append((literal, self._whole(gain)))
+                self._levels.setdefault(estimation.attribute, []).append((literal, amount))
             else:
-                worth += self._whole(gain)
+                worth += amount
         self._worth.append(literal * worth)
         self._switching.append(literal * cost)
 

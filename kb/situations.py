@@ -247,8 +247,8 @@ def situation(
             doing = base.forecast.doing(None).union(requested)
             for name, node in network.attributes.items():
                 if name not in values:
-                    course = base.forecast.course(name, now, doing)
-                    suppose_forecast(state, node, course(then))
+                    course = base.forecast.course(name, doing)
+                    suppose_forecast(state, node, course(then, now))
         state.infer()
     return Situation(state, then, base.forecast)
 

@@ -30,7 +30,7 @@ os.environ.pop(
 
 QUICK = (
     *("test_status", "test_knowledge_base", "test_manager", "test_trees"),
-    *("test_pddl_executor", "test_runs", "test_faults", "test_decisions", "test_imports"),
+    *("test_pddl_executor", "test_runs", "test_faults", "test_replay", "test_imports"),
 )
 """The modules of the main things: `pytest -m quick`."""
 
@@ -45,7 +45,7 @@ def pytest_itemcollected(item):
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items):
     """Begin with what takes longest, so that no worker is left alone with it at the end."""
-    items.sort(key=lambda item: item.path.name not in ("test_site.py", "test_house.py"))
+    items.sort(key=lambda item: item.path.name != "test_house.py")
 
 
 def pytest_collection_finish():

@@ -1,4 +1,7 @@
-"""AGV: a ground vehicle drives through a building; corridors and the configuration in each are planned together."""
+"""AGV: a ground vehicle drives through a building.
+
+Corridors and the configuration in each are planned together.
+"""
 
 from collections.abc import Mapping
 from functools import cache, lru_cache, partial
@@ -32,8 +35,8 @@ def agv_mission(
 
     @cache  # takes time to make, and a mission that is only listed does not need it
     def pddl() -> PddlNames:
-        known = KnowledgeBase(building_model(building), clock=lambda: 0.0)
-        return PddlNames(building, Modes(known, NAVIGATE).under({}), LIMITED)
+        kb = KnowledgeBase(building_model(building), clock=lambda: 0.0)
+        return PddlNames(building, Modes(kb, NAVIGATE).under({}), LIMITED)
 
     @lru_cache(maxsize=8)  # takes time to make; the behaviours of a run share it
     def planning_state(kb: KnowledgeBase, percepts: Percepts) -> PlanningState:

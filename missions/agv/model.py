@@ -1,4 +1,4 @@
-"""The building as a graph of places and corridors, and what the ground vehicle in it is made of and can do.
+"""The building as a graph of places and corridors, and the ground vehicle in it.
 
 The vehicle has three ways to localise itself, three sensors, a lamp, and a base with three speeds.
 """
@@ -61,9 +61,8 @@ class Building:
     def __post_init__(self) -> None:
         for name in (*self.places, *self.corridors):
             if not _NAME.fullmatch(name):
-                raise MissionError(
-                    f"{name!r} in map {self.name} is not a name: a letter, then letters, digits or '_'"
-                )
+                form = "a letter, then letters, digits or '_'"
+                raise MissionError(f"{name!r} in map {self.name} is not a name: {form}")
         corridors = {name: self._completed(name, part) for name, part in self.corridors.items()}
         object.__setattr__(self, "corridors", corridors)
         self.check("place", self.start, "start")
@@ -103,11 +102,14 @@ class Building:
         }
 
     def check(self, kind: str, name: str, who: str) -> None:
-        """Raise MissionError unless there is a "place" or "corridor" (`kind`) of that name; `who` names it."""
-        known = list(self.places if kind == "place" else self.corridors)
-        if name not in known:
+        """Raise MissionError unless there is a "place" or "corridor" (`kind`) of that name.
+
+        `who` names it.
+        """
+        names = list(self.places if kind == "place" else self.corridors)
+        if name not in names:
             lacks = f"{who} names the {kind} {name!r}, which map {self.name} lacks"
-            raise MissionError(f"{lacks}; near: {', '.join(near(name, known) or known[:8])}")
+            raise MissionError(f"{lacks}; near: {', '.join(near(name, names) or names[:8])}")
 
 
 def checked(what: str, value: object, least: float = 0.0, most: float = _MOST) -> float:
@@ -129,7 +131,8 @@ PAPER: Final = Building(
     start="a",
     goal="b",
 )
-"""The map of the ROSA paper, from a to b: straight on through the obstructed corridor c1, or round by c4, c3 and c2.
+"""The map of the ROSA paper, from a to b: straight on through the obstructed corridor c1, or round
+by c4, c3 and c2.
 
 The corridors and their obstacles are the paper's; lengths and light are our own choice.
 """
@@ -165,7 +168,8 @@ ERROR_M: Final = {
     ("mrpt", "kinect"): 0.08,
     ("mrpt", "lidar"): 0.09,
 }
-"""Error of the position by algorithm and sensor [m]; the pairs are the paper's, the figures our own choice."""
+"""Error of the position by algorithm and sensor [m]; the pairs are the paper's, the figures our own
+choice."""
 
 _DESIGNS: Final = (  # name, components, collisions expected for each obstacle passed; own choice
     ("aruco_camera", ("aruco", "camera"), 0.05),
@@ -176,18 +180,23 @@ _DESIGNS: Final = (  # name, components, collisions expected for each obstacle p
     ("mrpt_lidar", ("mrpt", "lidar"), 0.025),
 )
 OBSTRUCTED_PER_M: Final = 0.1
-"""Obstacles per metre beyond which only AMCL with the Kinect is accurate enough; the paper says that only it is."""
+"""Obstacles per metre beyond which only AMCL with the Kinect is accurate enough; the paper says
+that only it is."""
 
 NEEDED_LIGHT: Final = 0.3
 """Light, 0 to 1, that the camera needs without the lamp; own choice."""
 
 
 def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
-    """Build the model: 18 entities and 36 relations by the ROSA paper's counting; every call gives a new one.
+    """Build the model: 18 entities and 36 relations by the ROSA paper's counting.
 
-    Estimations: `energy` is the power drawn [J/s], `safety` the expected collisions for each obstacle that is passed,
-    `accuracy` the error of the position [m]. Measured are `light` [0 to 1] and `obstacles` [1/m] of the corridor to
-    cross, and the `energy` that is left [J]. Each of the actions requires the function to navigate.
+    Every call gives a new one.
+
+    Estimations: `energy` is the power drawn [J/s], `safety` the expected collisions for each
+        obstacle that is passed,
+    `accuracy` the error of the position [m]. Measured are `light` [0 to 1] and `obstacles` [1/m] of
+    the corridor to cross, and the `energy` that is left [J]. Each of the actions requires the
+    function to navigate.
     """
     model = Model(name)
     energy = model.quality_attribute("energy", unit="J")
@@ -211,7 +220,7 @@ def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
         design.estimate(safety, mishaps, "negative")
         design.estimate(accuracy, ERROR_M[components[0], components[1]], "absolute")
     imprecise = [design for design, *_ in _DESIGNS if design != "amcl_kinect"]
-    model.constrain([model.designs[one] for one in imprecise], obstacles <= OBSTRUCTED_PER_M)
+    model.constrain([model.designs[name] for name in imprecise], obstacles <= OBSTRUCTED_PER_M)
     model.designs["aruco_camera"].constrain(light >= NEEDED_LIGHT)
     for action in actions:
         model.action(action, requires=[navigate])
@@ -219,12 +228,14 @@ def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
 
 
 def building_model(building: Building) -> Model:
-    """Build the model of the vehicle in a building: each corridor is an action, and each heading a configuration.
+    """Build the model of the vehicle in a building: corridors are actions, headings configurations.
 
     To `switch`, which changes the configuration before it drives on, is an action too.
 
-    The demands of the corridors are not in the model: they are measured. `driven` is how far the robot is from where
-    it entered the corridor [m], and `way` the number of the heading to take, from 1, in the order of `headings`.
+    The demands of the corridors are not in the model: they are measured. `driven` is how far the
+        robot is from where
+    it entered the corridor [m], and `way` the number of the heading to take, from 1, in the order
+    of `headings`.
     """
     model = agv_model("agv", actions=())
     driven = model.environmental_attribute("driven", unit="m")

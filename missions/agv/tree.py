@@ -1,12 +1,13 @@
-"""The task layer of the mission: the behaviour tree follows the joint plan, and replans when its facts change.
+"""The task layer: the behaviour tree follows the joint plan, and replans when facts change.
 
 until arrived
 └── follow route             one child for each corridor; the one that is planned next is ticked
     ├── cross c1 if feasible
     └── ...
 
-The question of the joint planner is also written as PDDL, for planners that know nothing of corridors. There, switching
-the mode and crossing are steps of their own; both cost the same as in the joint planner, in whole thousandths.
+The question of the joint planner is also written as PDDL, for planners that know nothing of
+corridors. There, switching the mode and crossing are steps of their own; both cost the same as in
+the joint planner, in whole thousandths.
 """
 
 import re
@@ -38,11 +39,15 @@ from rosa_bt.decorators import UntilSuccess
 from rosa_pddl import Outcome, PlanRecord, Step
 
 RESERVE: Final = 0.1
-"""Share of the energy that plans do not use, because driving round obstacles takes more; own choice."""
+"""Share of the energy that plans do not use, because driving round obstacles takes more; own
+choice."""
 
 
 class Route:
-    """Knows where the robot is, what has failed and where the light has changed; replans when one of these changes."""
+    """Knows where the robot is, what has failed and where the light has changed.
+
+    Replans when one of these changes.
+    """
 
     def __init__(
         self,
@@ -107,16 +112,19 @@ class Route:
         """The corridor that the robot is in; empty at a place."""
         return next(
             (
-                one.name
-                for one in self.building.exits[self.at]
-                if self._percepts.holds(f"in {one.name}")
+                corridor.name
+                for corridor in self.building.exits[self.at]
+                if self._percepts.holds(f"in {corridor.name}")
             ),
             "",
         )
 
     @property
     def standing(self) -> Mapping[str, float]:
-        """The demands where the robot stands: no obstacles, and the light of the corridor; places are fully lit."""
+        """The demands where the robot stands: no obstacles, and the light of the corridor.
+
+        Places are fully lit.
+        """
         corridor = self.building.corridors.get(self.inside)
         light = 1.0 if corridor is None else self._light.get(corridor.name, corridor.light)
         return {"obstacles": 0.0, "light": light}
@@ -141,7 +149,10 @@ class Route:
 
 
 class Cross(RosaAction):
-    """Cross a corridor in the configuration that is planned for it; `choose` returns the leg that is planned now."""
+    """Cross a corridor in the configuration that is planned for it.
+
+    `choose` returns the leg that is planned now.
+    """
 
     def __init__(self, route: Route, corridor: str, choose: Callable[[], Leg | None]) -> None:
         super().__init__(f"cross {corridor}", route.kb, f"cross_{corridor}")
@@ -155,7 +166,7 @@ class Cross(RosaAction):
         return self._leg is not None and self._route.at == self._leg.to and not self._route.inside
 
     def initialise(self) -> None:
-        """Tell the knowledge base what the corridor demands, and select the planned configuration."""
+        """Measure what the corridor demands, and select the planned configuration."""
         self._leg = leg = self._choose()
         if leg is not None:
             way = headings(self._route.building).index((leg.corridor, leg.origin)) + 1.0
@@ -173,7 +184,10 @@ class Cross(RosaAction):
             )  # the action itself is the cause, not the measurements just made
 
     def update(self) -> Status:
-        """Check whether the other end is reached; take over a new plan for the same corridor and direction."""
+        """Check whether the other end is reached.
+
+        Take over a new plan for the same corridor and direction.
+        """
         leg = self._leg
         if leg is None:
             self.feedback_message = f"{self.corridor} does not lead from {self._route.at}"
@@ -213,10 +227,11 @@ def _choice(leg: Leg) -> Choice:
 
 
 class FollowRoute(Composite):
-    """Ticks the child for the corridor that is planned next, after it has stopped any other child that runs.
+    """Ticks the child for the corridor that is planned next; stops any other that runs.
 
-    SUCCESS at the goal; FAILURE when a corridor is crossed, and while there is no plan, with the reason as feedback.
-    `plans` holds the last joint plans, without those that are only the rest of the one before.
+    SUCCESS at the goal; FAILURE when a corridor is crossed, and while there is no plan, with the
+    reason as feedback. `plans` holds the last joint plans, without those that are only the rest of
+    the one before.
     """
 
     def __init__(self, route: Route) -> None:
@@ -224,7 +239,9 @@ class FollowRoute(Composite):
         self._crossings = {
             name: Cross(route, name, lambda: route.leg) for name in route.building.corridors
         }
-        self._by_corridor = {name: feasible_then_act(one) for name, one in self._crossings.items()}
+        self._by_corridor = {
+            name: feasible_then_act(crossing) for name, crossing in self._crossings.items()
+        }
         self.plans: tuple[PlanRecord, ...] = ()
         self._planned: Answer | None = None
         super().__init__("follow route", list(self._by_corridor.values()))
@@ -266,13 +283,16 @@ class FollowRoute(Composite):
             for leg in answer.legs
         ]
         outcome = Outcome.SOLVED_OPTIMALLY if answer.is_solved else Outcome.UNSOLVABLE_PROVEN
-        made = PlanRecord(
+        plan = PlanRecord(
             self._route.kb.now, answer.reason + first, outcome, tuple(steps), "joint plan"
         )
-        self.plans = made.added_to(self.plans)
+        self.plans = plan.added_to(self.plans)
 
     def _give_up(self, corridor: str) -> None:
-        """Stop a crossing, and say why; the reason is asked for first, because the end resets the demands."""
+        """Stop a crossing, and say why.
+
+        The reason is asked for first, because the end resets the demands.
+        """
         crossing = self._crossings[corridor]
         kb = self._route.kb
         feasible = kb.is_feasible(crossing.action)
@@ -283,7 +303,7 @@ class FollowRoute(Composite):
 
 def _is_rest(answer: Answer, before: Answer) -> bool:
     ways, others = (
-        [(leg.corridor, leg.to, leg.mode.name) for leg in one.legs] for one in (answer, before)
+        [(leg.corridor, leg.to, leg.mode.name) for leg in plan.legs] for plan in (answer, before)
     )
     return answer.is_solved is before.is_solved and ways == others[len(others) - len(ways) :]
 
@@ -323,10 +343,11 @@ class Via(NamedTuple):
 
 
 class PddlNames:
-    """The PDDL names of places, ways and modes, all different as PDDL needs them, and the facts about them.
+    """The PDDL names of places, ways and modes, all different, and the facts about them.
 
-    `modes` are all modes there can be; `limited` names the resources with a limit. The place with the empty name is
-    where the robot is within a corridor, and `now` is its configuration if that is none of the modes.
+    `modes` are all modes there can be; `limited` names the resources with a limit. The place with
+    the empty name is where the robot is within a corridor, and `now` is its configuration if that
+    is none of the modes.
     """
 
     def __init__(self, building: Building, modes: Iterable[Mode], limited: Iterable[str]) -> None:
@@ -344,15 +365,15 @@ class PddlNames:
         self.modes = {mode.name: word for word, mode in self.by_mode.items()}
         ends = [(corridor, to) for corridor in corridors for to in corridor.ends]
         vias = [
-            *(Via(one.name, one.other(to), to) for one, to in ends),
-            *(Via(one.name, "", to) for one, to in ends),
+            *(Via(corridor.name, corridor.other(to), to) for corridor, to in ends),
+            *(Via(corridor.name, "", to) for corridor, to in ends),
         ]
         self.vias = {
             via: self._distinct(f"{via.corridor}_{self.places[via.origin]}_{via.to}")
             for via in vias
         }
-        # The way to where the robot is within a corridor. No plan uses it, but planners that work out which facts are
-        # reachable would conclude without it that the robot is never there.
+        # The way to where the robot is within a corridor. No plan uses it, but planners that work
+        # out which facts are reachable would conclude without it that the robot is never there.
         self.vias[Via(vias[0].corridor, vias[0].to, "")] = self._distinct("entering")
         self.by_way = {word: via for via, word in self.vias.items()}
 
@@ -377,14 +398,15 @@ class PddlNames:
             (:metric minimize (total-cost)))"""
 
     def facts(self, task: Task) -> dict[str, bool | float]:
-        """Return the facts that may change: where the robot is, its configuration, what is possible, and the costs.
+        """Return the facts that may change: place, configuration, what is possible, costs.
 
-        Costs are whole thousandths, uses are whole amounts (see `Amounts`); it also says what is left of the limited.
+        Costs are whole thousandths, uses are whole amounts (see `Amounts`); it also says what is
+        left of the limited.
         """
         place, now = task.start
         at = self.places["" if place.corridor else place.name]
         configured = next(
-            (word for word, one in self.by_mode.items() if one.setup == now.setup), self.now
+            (word for word, mode in self.by_mode.items() if mode.setup == now.setup), self.now
         )
         facts: dict[str, bool | float] = {
             **{f"(at {place})": place == at for place in self.places.values()},
@@ -397,9 +419,10 @@ class PddlNames:
                 f"(possible {things})": True,
                 **self._numbers("crossing", things, leg.takes, cost),
             }
-        for before, one in {**self.by_mode, self.now: now}.items():
-            for mode, other in self.by_mode.items():
-                facts |= self._numbers("switching", f"{before} {mode}", *task.switching(one, other))
+        for before, mode in {**self.by_mode, self.now: now}.items():
+            for after, other in self.by_mode.items():
+                costs = task.switching(mode, other)
+                facts |= self._numbers("switching", f"{before} {after}", *costs)
         left = dict(zip(task.limited, task.limits, strict=True))
         for name in self.limited:  # each question counts from what is left now
             facts |= {f"({used(name)})": 0.0, f"({left_of(name)})": left.get(name, _PLENTY)}
@@ -466,13 +489,19 @@ class PlanningState:
 
     @property
     def facts(self) -> Mapping[str, bool | float]:
-        """What holds now and what it costs; updated with `Route.revision`, not with every metre and joule."""
+        """What holds now and what it costs.
+
+        Updated with `Route.revision`, not with every metre and joule.
+        """
         if self._revision != self.route.revision:
             self._revision, self._facts = self.route.revision, self.pddl.facts(self.route.task)
         return self._facts
 
     def cross(self, step: Step) -> Cross:
-        """Return the behaviour of a step that drives a way in a mode; it fails if that is not possible from here."""
+        """Return the behaviour of a step that drives a way in a mode.
+
+        It fails if that is not possible from here.
+        """
         _, way, _, _, mode = step.arguments
         via = self.pddl.by_way[way]
         task = self.route.task

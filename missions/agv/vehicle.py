@@ -1,4 +1,4 @@
-"""The vehicle in its building, simulated by MuJoCo, and its steering: along a line, past whatever it sees."""
+"""The vehicle in its building, simulated by MuJoCo, and its steering past what it sees."""
 
 import math
 from collections import deque
@@ -16,7 +16,8 @@ Array = NDArray[np.float64]
 Pose = tuple[float, float, float]  # x, y [m] and yaw [rad]
 
 RADIUS_M: Final = 0.2
-"""Radius of the vehicle [m]; like all sizes here own choice, of the order of a small research robot."""
+"""Radius of the vehicle [m]; like all sizes here own choice, of the order of a small research
+robot."""
 WHEEL_M: Final = 0.07
 HALF_TRACK_M: Final = 0.17
 _HALF_WIDTH_M: Final = 1.2  # of a corridor
@@ -49,7 +50,7 @@ def scene_xml(building: Building, placed: list[Pose], pose: Pose, step_s: float)
 
 
 def boxes(building: Building, rng: Generator) -> list[Pose]:
-    """Put boxes into the corridors, as many per metre as the map says, but no more than it can drive round."""
+    """Put boxes into the corridors: as the map says, but no more than it can drive round."""
     placed = []
     for corridor in building.corridors.values():
         (x, y), ux, uy, length_m = _line(building, corridor)
@@ -161,7 +162,8 @@ SENSORS: Final = {
     "kinect": (math.radians(28.5), 4.0),
     "camera": (0.5, 2.0),
 }
-"""Half of the angle of view [rad] and the range [m] of each sensor; Kinect: its data sheet, else own choice."""
+"""Half of the angle of view [rad] and the range [m] of each sensor; Kinect: its data sheet, else
+own choice."""
 _RAY_STEP: Final = math.radians(4)
 _RAYS: Final = {
     name: (np.linspace(-half, half, 2 * int(half / _RAY_STEP) + 1), reach_m)
@@ -212,7 +214,10 @@ class Vehicle:
         self._touched = touches
 
     def look(self, sensor: str) -> Array:
-        """Cast the rays of a sensor; return what it sees or has seen lately near by, (n, 2) [m], vehicle's frame."""
+        """Cast the rays of a sensor.
+
+        Return what it sees or has seen lately near by, (n, 2) [m], vehicle's frame.
+        """
         yaw, here, (offsets, reach_m) = self.yaw, self.position, _RAYS[sensor]
         angles = yaw + offsets
         count = len(offsets)
@@ -225,8 +230,8 @@ class Vehicle:
         self._mujoco.mj_multiRay(
             self._model, self._data, origin, rays.ravel(), *past, hit, far, None, count, reach_m
         )
-        found = (hit >= 0) & (far > 0.0)
-        self._seen.append(origin[:2] + rays[found, :2] * far[found, None])
+        is_hit = (hit >= 0) & (far > 0.0)
+        self._seen.append(origin[:2] + rays[is_hit, :2] * far[is_hit, None])
         apart = np.concatenate(self._seen) - here
         near = apart[np.hypot(apart[:, 0], apart[:, 1]) < 2.0]
         cos = math.cos(yaw)
@@ -248,4 +253,4 @@ class Vehicle:
         contacts = self._data.contact
         pairs = contacts.geom[: self._data.ncon].tolist()
         group = self._group_of
-        return any((group[one], group[other]) in _TOUCHING for one, other in pairs)
+        return any((group[first], group[second]) in _TOUCHING for first, second in pairs)

@@ -62,12 +62,15 @@ class Settings(Constants):
         super().__post_init__()
         steps = self.control_period_s / self.physics_step_s
         if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
-            message = f"control_period_s {self.control_period_s:g} is not a whole multiple of physics_step_s"
-            raise MissionError(f"{message} {self.physics_step_s:g}")
+            multiple = f"a whole multiple of physics_step_s {self.physics_step_s:g}"
+            raise MissionError(f"control_period_s {self.control_period_s:g} is not {multiple}")
 
 
 class Incident(NamedTuple):
-    """An event that happens once, when the robot is within a corridor; those of the light name no component."""
+    """An event that happens once, when the robot is within a corridor.
+
+    Those of the light name no component.
+    """
 
     what: str  # "fails", "recovers", "dark" or "light"
     component: str
@@ -75,9 +78,12 @@ class Incident(NamedTuple):
 
 
 def incidents(text: str, building: Building) -> tuple[Incident, ...]:
-    """Read incidents from text; raises MissionError if it cannot be read, or names an unknown part or corridor."""
+    """Read incidents from text.
+
+    Raises MissionError if it cannot be read, or names an unknown part or corridor.
+    """
     found = []
-    for part in filter(None, (" ".join(one.split()) for one in text.split(","))):
+    for part in filter(None, (" ".join(words.split()) for words in text.split(","))):
         read = _INCIDENT.fullmatch(part)
         if read is None:
             allowed = "text such as 'kinect fails in c1, dark in c3', or nothing"
@@ -158,7 +164,7 @@ class BuildingWorld(World):
 
     @property
     def is_still(self) -> bool:
-        """Whether it stands for good, lost or without energy: incidents happen only to a vehicle that drives."""
+        """Whether it stands for good: incidents happen only to a vehicle that drives."""
         waits = self._energy_j > 0.0 and (self._sensor or self._managed.next_event() < math.inf)
         return not (waits or self._is_moving)
 
@@ -206,13 +212,17 @@ class BuildingWorld(World):
         self._driven_total_m += driven_m
         self._is_moving = driven_m > _CREEP_M
         self._look_where_it_is()
-        for one, part in [each for each in self._waiting if each[0].corridor == self._inside]:
-            if self._driven_m >= part * self._building.corridors[one.corridor].length_m:
-                self._waiting.remove((one, part))
-                self._happen(one)
+        for incident, share in list(self._waiting):
+            is_here = incident.corridor == self._inside
+            if (
+                is_here
+                and self._driven_m >= share * self._building.corridors[self._inside].length_m
+            ):
+                self._waiting.remove((incident, share))
+                self._happen(incident)
 
     def _take_orders(self) -> None:
-        """Take over a new order: drive to the origin first, unless the vehicle is there or in the corridor already."""
+        """Take over a new order: drive to the origin first, unless the vehicle is there."""
         ordered = self._components.orders(NAVIGATOR)
         if not ordered or ordered == self._ordered:
             return
@@ -275,23 +285,23 @@ class BuildingWorld(World):
             self._say("EA measurement", "driven", repr(self._driven_m))
             self._say("mission status", f"in {self._inside}", "true")
 
-    def _happen(self, one: Incident) -> None:
-        if one.component:
-            is_failed = one.what == "fails"
+    def _happen(self, incident: Incident) -> None:
+        name = incident.component
+        if name:
+            is_failed = incident.what == "fails"
+            word = "failed" if is_failed else "recovered"
             failed = self._components.failed
-            (failed.add if is_failed else failed.discard)(one.component)
-            self._say("component status", one.component, "failure" if is_failed else "recovered")
-            self._say("mission status", f"{one.component} failed", str(is_failed).lower())
-            self._happened.append(
-                (self.now, f"{one.component} {'failed' if is_failed else 'recovered'}")
-            )
+            (failed.add if is_failed else failed.discard)(name)
+            self._say("component status", name, "failure" if is_failed else word)
+            self._say("mission status", f"{name} failed", str(is_failed).lower())
+            self._happened.append((self.now, f"{name} {word}"))
             return
-        self._light[one.corridor] = _DARK if one.what == "dark" else 1.0
+        corridor = incident.corridor
+        is_dark = incident.what == "dark"
+        self._light[corridor] = _DARK if is_dark else 1.0
         self._say("EA measurement", "light", repr(self._light_here))
-        self._say("mission status", f"light in {one.corridor}", repr(self._light[one.corridor]))
-        self._happened.append(
-            (self.now, f"light in {one.corridor} goes {'out' if one.what == 'dark' else 'on'}")
-        )
+        self._say("mission status", f"light in {corridor}", repr(self._light[corridor]))
+        self._happened.append((self.now, f"light in {corridor} goes {'out' if is_dark else 'on'}"))
 
     def _monitor(self) -> None:
         self._monitor_due += self._settings.monitor_period_s
@@ -348,12 +358,15 @@ class _Components(NamedComponents):
 
 
 def _placed(wanted: Sequence[Incident], rng: Generator) -> list[tuple[Incident, float]]:
-    """Choose where in its corridor each incident happens; those in one corridor happen in the given order."""
-    parts: dict[str, list[float]] = {}
-    for one in wanted:
-        parts.setdefault(one.corridor, []).append(rng.uniform(0.25, 0.6))
-    in_order = {corridor: iter(sorted(some)) for corridor, some in parts.items()}
-    return [(one, next(in_order[one.corridor])) for one in wanted]
+    """Choose where in its corridor each incident happens.
+
+    Those in one corridor happen in the given order.
+    """
+    shares: dict[str, list[float]] = {}
+    for incident in wanted:
+        shares.setdefault(incident.corridor, []).append(rng.uniform(0.25, 0.6))
+    in_order = {corridor: iter(sorted(some)) for corridor, some in shares.items()}
+    return [(incident, next(in_order[incident.corridor])) for incident in wanted]
 
 
 class AgvKind(WorldKind):

@@ -1,4 +1,4 @@
-"""The base class of managers of the sea's vehicle, what such a manager knows, and a run under it."""
+"""The base of managers of the sea's vehicle, what a manager knows, and a run under it."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -24,15 +24,18 @@ COMPONENT_STATUS = "component status"
 class Robot:
     """What a manager knows of the vehicle, and how it acts on it.
 
-    `activate`, `deactivate` and `set_parameters` ask a component for a change; for every manager it takes as long as
-    the settings of the sea say. `is_active` and `parameters` return what is in force now: see `kb.ManagedSystem`.
+    `activate`, `deactivate` and `set_parameters` ask a component for a change; for every manager it
+    takes as long as
+    the settings of the sea say. `is_active` and `parameters` return what is in force now: see
+        `kb.ManagedSystem`.
 
     Attributes:
         mission: the mission that is run, with its model and its tree.
         settings: the constants of the sea and of SUAVE's nodes.
         rng: random generator of the manager, its only source of chance.
         options: values of the manager's options by name.
-        measured: last published number by key, e.g. {"water_visibility": 3.1, "battery_level": 0.9}.
+        measured: last published number by key, e.g. {"water_visibility": 3.1, "battery_level":
+            0.9}.
         reported: last published word by component, e.g. {"c_thruster_1": "FALSE"}.
         percepts: what else was published, e.g. whether `percepts.holds("pipeline_found")`.
         deadline_s: latest end of the mission [s].
@@ -91,13 +94,19 @@ class Robot:
         self.agenda.at(self.now + delay_s, lambda time: what())
 
     def begin(self, task: str) -> None:
-        """Record that a task begins; whoever decides about tasks calls it. ValueError while one is under way."""
+        """Record that a task begins; whoever decides about tasks calls it.
+
+        ValueError while one is under way.
+        """
         if self.task is not None:
             raise ValueError(f"cannot begin {task}: {self.task} is being done; end it first")
         self.tasks.append(RequiredAction(task, None, self.now))
 
     def end(self, result: str, reason: str = "") -> None:
-        """Record that the task has ended: "completed", "abandoned" or "failed"; ValueError if there is none."""
+        """Record that the task has ended: "completed", "abandoned" or "failed".
+
+        ValueError if there is none.
+        """
         if self.task is None:
             raise ValueError("no task is being done that could end; begin one first")
         self.tasks[-1] = replace(self.tasks[-1], end=self.now, result=result, reason=reason)
@@ -114,15 +123,19 @@ class Robot:
 
 
 class Manager(ManagerBase):
-    """Configures the vehicle for the task that is under way; run with `rosa run suave --manager package:Class`.
+    """Configures the vehicle for the task that is under way.
 
-    By default tasks are those of SUAVE's mission node: search until the pipeline is found, then inspect it. A manager
-    that decides about tasks itself sets `decides_tasks`, and calls `robot.begin` and `robot.end`.
+    Run with `rosa run suave --manager package:Class`.
+
+    By default tasks are those of SUAVE's mission node: search until the pipeline is found, then
+    inspect it. A manager that decides about tasks itself sets `decides_tasks`, and calls
+    `robot.begin` and `robot.end`.
 
     Attributes:
         tasks: names of the task layers that it goes with.
         robot: the vehicle that it manages.
-        period_s: time between two updates [s]; the first update comes at a random time within one period.
+        period_s: time between two updates [s]; the first update comes at a random time within one
+            period.
         options: numbers that can be set from outside; their values are in `robot.options`.
     """
 
@@ -156,7 +169,10 @@ class Manager(ManagerBase):
         self.robot = robot
 
     def begin(self, task: str) -> None:
-        """Configure the vehicle for a task; called when "search_pipeline" or "inspect_pipeline" begins."""
+        """Configure the vehicle for a task.
+
+        Called when "search_pipeline" or "inspect_pipeline" begins.
+        """
 
     def end(self, task: str) -> None:
         """Undo the configuration for a task; called when the task has ended."""
@@ -182,10 +198,13 @@ LOW_LEVEL = 0.25
 
 
 class BaselineRun(MissionRun):
-    """A run in which a manager of the sea's vehicle decides; its published options are among the results.
+    """A run in which a manager of the sea's vehicle decides.
+
+    Its published options are among the results.
 
     Raises:
-        MissionError: the manager raises an error, here or later; the message has its name, the time and the line.
+        MissionError: the manager raises an error, here or later; the message has its name, the time
+            and the line.
     """
 
     def __init__(
@@ -209,7 +228,8 @@ class BaselineRun(MissionRun):
         period_s = self._manager.period_s
         if not 0 < period_s < inf:
             raise MissionError(
-                f"manager {self.manager}: period_s is {period_s!r}; allowed is a number of seconds above 0"
+                f"manager {self.manager}: period_s is {period_s!r}; "
+                "allowed is a number of seconds above 0"
             )
         self.robot.agenda.every(mission_s, phases[0] * mission_s, self._decide_task)
         self.robot.agenda.every(period_s, phases[1] * period_s, self._update)
@@ -265,7 +285,7 @@ class BaselineRun(MissionRun):
         self._is_ticked = True
 
     def _decide_task(self, time: float) -> None:
-        """Begin and end tasks as SUAVE's mission node does: search until the pipeline is found, then inspect it."""
+        """Begin and end tasks as SUAVE's mission node does: search until found, then inspect."""
         robot = self.robot
         manager = self._manager
         if manager.decides_tasks:

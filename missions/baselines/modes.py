@@ -1,8 +1,9 @@
-"""SUAVE's own managers, which switch components by modes of functions in the manner of ROS 2 System Modes.
+"""SUAVE's own managers, which switch components as ROS 2 System Modes does.
 
-`none` and `random` only request modes. `metacontrol` reasons every 1.5 s about an ontology of functions, their designs
-and objectives, by the rules of TOMASys, here pure functions, and requests modes. `bt` is the behaviour tree of
-kas-lab/suave v1.3.0 (suave_bt) and its extended mission; the one tree decides about tasks and adapts the vehicle:
+`none` and `random` only request modes. `metacontrol` reasons every 1.5 s about an ontology of
+functions, their designs and objectives, by the rules of TOMASys, here pure functions, and requests
+modes. `bt` is the behaviour tree of kas-lab/suave v1.3.0 (suave_bt) and its extended mission; the
+one tree decides about tasks and adapts the vehicle:
 
 mission (reactive)
 ├── motion: all thrusters ok? -> mode fd_all_thrusters, or else mode fd_recover_thrusters
@@ -36,7 +37,7 @@ LOW_LEVEL = np.float32(0.25)
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """What a mode means: whether the component is active in it, and the values of its parameters."""
+    """What a mode means: whether the component is active, and its parameters."""
 
     active: bool
     parameters: Mapping[str, float] = field(default_factory=dict)
@@ -129,11 +130,15 @@ class NoManager(ModesManager):
 
 
 PERIODS_S = {"2024": 15.0, "2025": 30.0}
-"""Time between two choices [s], by the rules. 30 s were always intended, but v1.3.0 reads another parameter."""
+"""Time between two choices [s], by the rules. 30 s were always intended, but v1.3.0 reads another
+parameter."""
 
 
 class RandomManager(ModesManager):
-    """Every 15 or 30 s requests a random mode of the task's function; it may be the one that stops it."""
+    """Every 15 or 30 s requests a random mode of the task's function.
+
+    It may be the one that stops it.
+    """
 
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
@@ -147,7 +152,10 @@ class RandomManager(ModesManager):
 
 
 class TreeManager(ModesManager):
-    """Ticks the tree every 0.15 s; it sleeps for 100 ms after each tick and for 50 ms in each running action."""
+    """Ticks the tree every 0.15 s.
+
+    It sleeps for 100 ms after each tick and for 50 ms in each running action.
+    """
 
     decides_tasks = True
 
@@ -179,7 +187,10 @@ class _RequestMode(Behaviour):
 
 
 class _DoTask(Behaviour):
-    """Does a task until `until` is published once more; then, or when halted, it ungrounds the functions."""
+    """Does a task until `until` is published once more.
+
+    Then, or when halted, it ungrounds the functions.
+    """
 
     def __init__(
         self, robot: Robot, modes: SystemModes, task: str, until: str, functions: tuple[str, ...]
@@ -243,7 +254,7 @@ def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
         Selector("altitude", memory=False, children=altitudes),
         do("search_pipeline", "pipeline_found", SEARCH),
     ]
-    found = Condition("found?", lambda: heard("pipeline_found") > 0)
+    is_found = Condition("found?", lambda: heard("pipeline_found") > 0)
     inspect = [
         request(FOLLOW, "fd_follow_pipeline"),
         do("inspect_pipeline", "pipeline_inspected", FOLLOW),
@@ -253,7 +264,9 @@ def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
             "battery ok?", lambda: bool(np.float32(measured.get("battery_level", 1.0)) >= LOW_LEVEL)
         ),
         Selector(
-            "find", memory=True, children=[found, Sequence("search", memory=False, children=search)]
+            "find",
+            memory=True,
+            children=[is_found, Sequence("search", memory=False, children=search)],
         ),
         Sequence("inspect", memory=False, children=inspect),
     ]
@@ -277,9 +290,12 @@ def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A design of a function, with the name of the mode that it requests; higher performance is better.
+    """A design of a function, with the name of the mode that it requests.
 
-    It needs the components, and for each of the qualities, (attribute, least value), at least that value.
+    Higher performance is better.
+
+    It needs the components, and for each of the qualities, (attribute, least value), at least that
+    value.
     """
 
     name: str
@@ -326,7 +342,8 @@ class Situation:
     Attributes:
         measured: the last value of each attribute that is measured.
         failed: names of the components that have failed.
-        unrealisable: names of designs that need a failed component, as the pass before has inferred.
+        unrealisable: names of designs that need a failed component, as the pass before has
+            inferred.
         grounded: names of the designs that serve objectives, by function.
         not_in_force: functions whose mode was requested, but is not in force.
         errors: names of designs whose mode did not come into force.
@@ -375,7 +392,10 @@ def best_design(situation: Situation, function: str) -> Design | None:
 
 
 def _suffices(design: Design, situation: Situation) -> bool:
-    """Tell whether no quality is measured below what a design needs; unmeasured ones count as good enough."""
+    """Tell whether no quality is measured below what a design needs.
+
+    Unmeasured ones count as good enough.
+    """
     measured = situation.measured
     return all(not measured[name] < value for name, value in design.qualities if name in measured)
 
@@ -385,11 +405,11 @@ OBJECTIVES: Final = {"search_pipeline": (MOTION, SEARCH), "inspect_pipeline": (M
 
 
 class Metacontrol(ModesManager):
-    """Grounds the objectives of a task in function designs, and replaces the designs of objectives in error.
+    """Grounds objectives of a task in function designs; replaces those of objectives in error.
 
-    A pass of reasoning uses what was received before it; what it infers is used by the next pass only. So a component
-    that fails makes designs unrealisable in one pass, and puts an objective in error in a second one, which follows at
-    once.
+    A pass of reasoning uses what was received before it; what it infers is used by the next pass
+    only. So a component that fails makes designs unrealisable in one pass, and puts an objective in
+    error in a second one, which follows at once.
     """
 
     options: ClassVar = (

@@ -1,4 +1,4 @@
-"""Managers to compare ours with in any mission: task layer and world stay, only the configuration is theirs."""
+"""Managers to compare ours with in any mission: only the configuration is theirs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,9 +10,10 @@ from kb.diagnostics import COMPONENT_REPORTS, COMPONENT_VALUES
 from kb.planning import by_priority
 from kb.views import ConfigurationView, DesignView
 from missions.engine.managers import ManagerBase, manager_name
-from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, World, built
+from missions.engine.mission import Mission, World, built
+from missions.engine.percepts import MISSION_STATUS, Message
 from missions.engine.runner import RosaRun
-from missions.engine.settings import RunSettings, Setting
+from missions.engine.settings import MissionError, RunSettings, Setting
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -21,11 +22,12 @@ Part = DesignView | ConfigurationView
 
 
 class Policy(ManagerBase):
-    """Chooses designs and configurations in any mission; one of your own is run as `--manager package:Class`.
+    """Chooses designs and configurations in any mission; run as `--manager package:Class`.
 
     Attributes:
-        options: settings that can be given from outside; their values are in `given`.
-        adapts_tasks: whether actions become unfeasible when a constraint is violated or a component fails.
+        options: settings that can be set from outside; their values are in `values`.
+        adapts_tasks: whether actions become unfeasible when a constraint is violated or a component
+            fails.
         tasks: names of the task layers that it goes with.
         model: the model with the designs and configurations to choose from.
         rng: random generator, its only source of chance.
@@ -34,10 +36,10 @@ class Policy(ManagerBase):
     adapts_tasks: ClassVar[bool] = True
     is_waiting = True  # it may choose again only because time has passed
 
-    def __init__(self, model: Model, rng: "Generator", given: Mapping[str, Any]) -> None:
+    def __init__(self, model: Model, rng: "Generator", values: Mapping[str, Any]) -> None:
         self.model = model
         self.rng = rng
-        self.given = given
+        self.values = values
 
     @classmethod
     def open(
@@ -58,58 +60,56 @@ class Policy(ManagerBase):
     def pick(
         self, kb: KnowledgeBase, possible: Sequence[Part], selected: Part | None
     ) -> Part | None:
-        """Return what to select among the feasible ones, which come by priority; None changes nothing."""
+        """Return what to select of the feasible ones, by priority; None changes nothing."""
         return possible[0] if selected is None and possible else None
 
     def alter(self, mission: Mission, world: World) -> Mission:
         """Return the mission as it is run under this manager."""
-        return (
-            mission
-            if self.adapts_tasks
-            else replace(mission, model=lambda: _unconstrained(mission.model()))
-        )
+        if self.adapts_tasks:
+            return mission
+        return replace(mission, model=lambda: _unconstrained(mission.model()))
 
     def hear(self, message: Message) -> Message:
         """Return a message as the knowledge base receives it."""
-        return (
-            message
-            if self.adapts_tasks
-            else {**message, "status": [_as_percept(one) for one in message["status"]]}
-        )
+        if self.adapts_tasks:
+            return message
+        return {**message, "status": [_as_percept(status) for status in message["status"]]}
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
-        """Choose a design for every required function, and a configuration for every component of it."""
-        designs: dict[str, str] = {}
-        configurations: dict[str, str] = {}
+        """Choose a design for every required function, and configurations for its components."""
+        choice: dict[str, Part] = {}
         for function in kb.functions.values():
-            if function.is_required:
-                design = self._choose(
-                    kb, [kb.designs[name] for name in function.designs], function.name, designs
-                )
-                for name in design.components if isinstance(design, DesignView) else ():
-                    parts = [
-                        kb.configurations[configuration]
-                        for configuration in kb.components[name].configurations
-                    ]
-                    self._choose(kb, parts, name, configurations)
-        if not (designs or configurations or any(kb.obsolete())):
+            if not function.is_required:
+                continue
+            designs = [kb.designs[name] for name in function.designs]
+            design = self._choose(kb, designs, function.name, choice)
+            for name in design.components if isinstance(design, DesignView) else ():
+                names = kb.components[name].configurations
+                self._choose(kb, [kb.configurations[part] for part in names], name, choice)
+        if not choice and not any(kb.obsolete()):
             return None
-        return kb.select(designs, configurations, f"chosen by the manager {type(self).__name__}")
+        chosen = choice.items()
+        return kb.select(
+            {name: part.name for name, part in chosen if isinstance(part, DesignView)},
+            {name: part.name for name, part in chosen if isinstance(part, ConfigurationView)},
+            f"chosen by the manager {type(self).__name__}",
+        )
 
     def _choose(
-        self, kb: KnowledgeBase, parts: Sequence[Part], whole: str, chosen: dict[str, str]
+        self, kb: KnowledgeBase, parts: Sequence[Part], owner: str, choice: dict[str, Part]
     ) -> Part | None:
-        """Enter a new choice in `chosen`; return what is selected then."""
+        """Enter a new choice; return what is selected then."""
         selected = next((part for part in parts if part.is_selected), None)
         possible = [part for part in parts if part.status is not Status.UNFEASIBLE]
-        made = self.pick(kb, sorted(possible, key=by_priority), selected)
-        if made is not None and not isinstance(made, Part):
-            said = f"pick() of {type(self).__name__} gives {made!r:.100}"
-            raise MissionError(f"{said}; expected is one of those that are possible, or None")
-        if made is None or (selected is not None and made.name == selected.name):
+        part = self.pick(kb, sorted(possible, key=by_priority), selected)
+        if part is None:
             return selected
-        chosen[whole] = made.name
-        return made
+        if not isinstance(part, Part):
+            title = f"pick() of {type(self).__name__} gives {part!r:.100}"
+            raise MissionError(f"{title}; expected is one of those that are possible, or None")
+        if selected is None or part.name != selected.name:
+            choice[owner] = part
+        return part
 
 
 class Fixed(Policy):
@@ -121,29 +121,29 @@ class Fixed(Policy):
         ),
     )
 
-    def __init__(self, model: Model, rng: "Generator", given: Mapping[str, Any]) -> None:
-        super().__init__(model, rng, given)
-        self.wanted = [name.strip() for name in given["use"].split(",") if name.strip()]
-        known = [*model.designs, *model.configurations]
-        for name in self.wanted:
-            if name not in known:
-                raise MissionError(f"setting use names {name!r}; the model has {', '.join(known)}")
+    def __init__(self, model: Model, rng: "Generator", values: Mapping[str, Any]) -> None:
+        super().__init__(model, rng, values)
+        self.preferred = [name.strip() for name in values["use"].split(",") if name.strip()]
+        names = [*model.designs, *model.configurations]
+        for name in self.preferred:
+            if name not in names:
+                raise MissionError(f"setting use names {name!r}; the model has {', '.join(names)}")
 
     def pick(
         self, kb: KnowledgeBase, possible: Sequence[Part], selected: Part | None
     ) -> Part | None:
-        wanted = [one for one in possible if one.name in self.wanted]
-        return super().pick(kb, wanted or possible, selected)
+        preferred = [part for part in possible if part.name in self.preferred]
+        return super().pick(kb, preferred or possible, selected)
 
 
 class Unmanaged(Fixed):
-    """Configures each action once, and ignores measurements and failures; neither task nor architecture adapts."""
+    """Configures each action once, and ignores measurements and failures: nothing adapts."""
 
     adapts_tasks = False
 
 
 class Random(Policy):
-    """Selects random feasible designs and configurations, anew every `period_s`; the task layer adapts."""
+    """Selects random feasible designs and configurations every `period_s`; tasks adapt."""
 
     options = (
         Setting(
@@ -156,12 +156,14 @@ class Random(Policy):
         ),
     )
 
-    def __init__(self, model: Model, rng: "Generator", given: Mapping[str, Any]) -> None:
-        super().__init__(model, rng, given)
-        self._turn, self._is_due, self._phase = 0, False, float(rng.random())
+    def __init__(self, model: Model, rng: "Generator", values: Mapping[str, Any]) -> None:
+        super().__init__(model, rng, values)
+        self._turn = 0
+        self._is_due = False
+        self._phase = float(rng.random())
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
-        turn = int(kb.now / self.given["period_s"] + self._phase)
+        turn = int(kb.now / self.values["period_s"] + self._phase)
         self._is_due = turn != self._turn
         self._turn = turn
         return super().plan(kb)
@@ -175,9 +177,10 @@ class Random(Policy):
 
 
 class ByHand(Policy):
-    """Leaves all to the hand-written tree of the mission, `Mission.by_hand`, which commands the components itself.
+    """Leaves all to `Mission.by_hand`, a tree that commands the components itself.
 
-    The tree reads measurements from the knowledge base, and from the percepts whether "NAME has failed".
+    The tree reads measurements from the knowledge base, and from the percepts whether "NAME has
+    failed".
     """
 
     adapts_tasks = False
@@ -187,18 +190,14 @@ class ByHand(Policy):
     def refusal(cls, mission: Mission) -> str:
         if mission.by_hand is not None:
             return ""
-        return (
-            f"mission {mission.name} has no hand-written tree; give it by_hand=lambda kb, "
-            "percepts, managed: ..., or take another manager"
-        )
+        hint = "give it by_hand=lambda kb, percepts, managed: ..., or take another manager"
+        return f"mission {mission.name} has no hand-written tree; {hint}"
 
     def alter(self, mission: Mission, world: World) -> Mission:
-        by_hand = mission.by_hand
-        assert by_hand is not None  # `refusal` has refused the mission otherwise
-        return replace(
-            super().alter(mission, world),
-            tree=lambda kb, percepts: by_hand(kb, percepts, world.managed),
-        )
+        build = mission.by_hand
+        assert build is not None  # `refusal` has refused the mission otherwise
+        altered = super().alter(mission, world)
+        return replace(altered, tree=lambda kb, percepts: build(kb, percepts, world.managed))
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
         return None
@@ -214,9 +213,8 @@ def _as_percept(status: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return a report on components as a percept, which makes nothing unfeasible."""
     if str(status["message"]).strip().casefold() not in COMPONENT_REPORTS:
         return status
-    verbs = {
-        name: COMPONENT_VALUES.get(str(word).strip().casefold())
-        for name, word in status["values"].items()
-    }
-    said = {f"{name} has failed": verb == "component_failed" for name, verb in verbs.items()}
-    return {**status, "message": MISSION_STATUS, "values": said}
+    values = {}
+    for name, word in status["values"].items():
+        verb = COMPONENT_VALUES.get(str(word).strip().casefold())
+        values[f"{name} has failed"] = verb == "component_failed"
+    return {**status, "message": MISSION_STATUS, "values": values}

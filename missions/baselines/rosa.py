@@ -1,9 +1,11 @@
-"""Managers that tick our tree with a knowledge base of ours: ROSA as published, and ours with a lookahead.
+"""Managers that tick our tree: ROSA as published, and ours with a lookahead.
 
-ROSA works at the pace of its services: its knowledge base is a server, every fact and every question is a service call,
-and its planner and executor are programs that make one call after the other. The model here counts the calls before
-something is done. The time of one call is an input, chosen once so that the published reaction times come out. Calls of
-different programs do not delay each other, and a round of planning that finds nothing takes no time.
+ROSA works at the pace of its services: its knowledge base is a server, every fact and every
+    question is a service call,
+and its planner and executor are programs that make one call after the other. The model here counts
+the calls before something is done. The time of one call is an input, chosen once so that the
+published reaction times come out. Calls of different programs do not delay each other, and a round
+of planning that finds nothing takes no time.
 """
 
 from collections import deque
@@ -31,9 +33,11 @@ from rosa_bt import Detour, Gain, Lookahead, MissionValue, TreeRunner, ValueSele
 INSERTING = 1
 """Calls until the knowledge base has what was published."""
 REQUESTING = 2
-"""Calls until an action is requested or cancelled: the question whether it is feasible, then the request."""
+"""Calls until an action is requested or cancelled: the question whether it is feasible, then the
+request."""
 PLANNING = 5
-"""Calls of a round of planning: adaptable functions, components, selectable designs, configurations, selection."""
+"""Calls of a round of planning: adaptable functions, components, selectable designs,
+configurations, selection."""
 FETCHING = 1
 """Calls until the executor has a plan; then it switches components."""
 CONFIGURING = 2
@@ -85,7 +89,7 @@ class OwnTree(Manager):
 
 
 class RosaManager(OwnTree):
-    """Ticks our tree; messages, requests and plans take effect after as many service calls as ROSA needs."""
+    """Ticks our tree; all takes effect after as many service calls as ROSA needs."""
 
     options: ClassVar = (
         Setting(
@@ -137,7 +141,10 @@ class RosaManager(OwnTree):
         self._after(PLANNING, self._end_round)
 
     def _end_round(self) -> None:
-        """Plan, unless more requests have come in meanwhile; each of those gets a round of its own."""
+        """Plan, unless more requests have come in meanwhile.
+
+        Each of those gets a round of its own.
+        """
         self._asked -= 1
         plan = None if self._asked else self._planner.plan(self.kb)
         if plan is not None:
@@ -171,11 +178,13 @@ class RosaManager(OwnTree):
 
 
 FOLLOWING_M_S = 0.27
-"""Inspected metres per second: half a metre at each tick of the follower, more where points are closer."""
+"""Inspected metres per second: half a metre at each tick of the follower, more where points are
+closer."""
 TRANSIT_SHARE = 0.85
 """Mean speed of a drive to the station, as a share of the speed limit."""
 SEEN_POINTS = 6
-"""How many points show whether the pipeline leads to the station; before that, it is taken to lead away."""
+"""How many points show whether the pipeline leads to the station; before that, it is taken to lead
+away."""
 SETTLING_S = 4.0
 """Time from the end of a drive back until the follower counts again [s]."""
 
@@ -183,8 +192,9 @@ SETTLING_S = 4.0
 class LookaheadManager(OwnTree):
     """Ticks the tree of the mission below a lookahead: it recharges when that is worth most.
 
-    It knows what is published, the model, the deadline, its distance from the station and how its own nodes move it;
-    of the pipeline and the battery it knows only what is published. The search is that of the tree.
+    It knows what is published, the model, the deadline, its distance from the station and how its
+    own nodes move it; of the pipeline and the battery it knows only what is published. The search
+    is that of the tree.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -193,7 +203,9 @@ class LookaheadManager(OwnTree):
 
     def tree(self) -> Behaviour:
         mission = super().tree()
-        self._inspect = next(one for one in mission.iterate() if isinstance(one, InspectPipeline))
+        self._inspect = next(
+            leaf for leaf in mission.iterate() if isinstance(leaf, InspectPipeline)
+        )
         self._seen = deque([(0.0, self.robot.way_m())], SEEN_POINTS)
         restores = {"battery_level": 1.0}
         detour = Detour("recharge", restores, self._there_s, self._back_s, 0.2)
@@ -211,7 +223,10 @@ class LookaheadManager(OwnTree):
         self._manager.update()
 
     def _value(self) -> MissionValue:
-        """Return what is gained from now on: inspected metres; nothing before the pipeline is found."""
+        """Return what is gained from now on: inspected metres.
+
+        Nothing before the pipeline is found.
+        """
         if not self.percepts.holds("pipeline_found"):
             return MissionValue(self.robot.deadline_s)
         way_m = self.robot.way_m()

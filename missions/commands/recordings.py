@@ -149,7 +149,9 @@ def convert(recording: Path, output: Path) -> None:
 def _model_differences(bag: Bag, decisions: Decisions) -> Iterator[str]:
     model = decisions.kb.model
     try:
-        changed = differences(recorded_model(bag), model)
+        recorded = recorded_model(bag)
+        is_same = recorded.plain() == model.plain()
+        changed = [] if is_same else differences(recorded, model)
     except KnowledgeBaseError as error:  # of another version
         changed = [str(error)]
     if changed:

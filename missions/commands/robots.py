@@ -5,7 +5,7 @@ import math
 import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from functools import partial
 from threading import Event as Flag
@@ -29,7 +29,7 @@ from missions.commands import (
     tree_builder,
 )
 from missions.engine.mission import MissionError, Percepts, built, find_robot
-from missions.wires.assistant import Assistant, mcp_server, serve_http
+from missions.wires.assistant import Assistant, mcp_server
 from missions.wires.bridge import Bridge, BridgeSettings, SimulatedClock
 from missions.wires.node import Node
 from missions.wires.rclpy import RclpyNode
@@ -143,32 +143,22 @@ def mcp(
     robot: Annotated[str, Argument(help=ROBOT)],
     store: Store = None,
     config: Annotated[File, Option(help="bridge.toml of the robot to connect to.")] = None,
+    token: Token = "",
     allow_actions: Annotated[
         bool, Option("--allow-actions", help="Actions may be requested, too.")
     ] = False,
-    http: Annotated[
-        int | None, Option(metavar="PORT", help="Serve over HTTP with a token, not stdio.")
-    ] = None,
-    token: Token = "",
 ) -> None:
-    """Serve the questions of a robot's knowledge base to assistants over stdio or HTTP."""
+    """Serve the questions of a robot's knowledge base to assistants over stdio."""
     model, mission = find_robot(robot)
-
-    def serve(kb: KnowledgeBase) -> None:
-        server = mcp_server(Assistant(kb, mission), allow_actions=allow_actions)
-        if http is None:
-            server.run("stdio")
+    with ExitStack() as stack:
+        if config is None:
+            kb = stack.enter_context(closing(KnowledgeBase(model, store=store, clock=time.time)))
         else:
-            serve_http(server, http, token)
-
-    if config is None:
-        with closing(KnowledgeBase(model, store=store, clock=time.time)) as kb:
-            serve(kb)
-        return
-    settings = _settings(config)
-    node = Rosbridge(settings.url, token)
-    with _connected(node, model, settings, store) as (kb, connected), _managed(kb, connected):
-        serve(kb)
+            settings = _settings(config)
+            node = Rosbridge(settings.url, token)
+            kb, connected = stack.enter_context(_connected(node, model, settings, store))
+            stack.enter_context(_managed(kb, connected))
+        mcp_server(Assistant(kb, mission), allow_actions=allow_actions).run("stdio")
 
 
 @contextmanager

@@ -1,1 +1,1 @@
-"""What runs a mission: its parts, the run, the task layer, percepts, settings, components, recording and replay."""
+"""What runs a mission: its parts, the run, the task layer, percepts, and recordings."""

@@ -1,4 +1,4 @@
-"""The table of adaptations: the decisions of a run that news caused, and not the ordinary course."""
+"""The table of adaptations: the decisions of a run that news caused."""
 
 from collections import deque
 from collections.abc import Callable, Sequence

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import import_module
 from inspect import Parameter, signature
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
 
@@ -22,7 +23,7 @@ from missions.engine.settings import MissionError as MissionError
 from missions.engine.settings import RunSettings, declared, full_names, near, read_values
 from missions.engine.settings import Setting as Setting
 from rosa_bt.exceptions import line_in_words
-from rosa_pddl.exceptions import RosaPddlError
+from rosa_pddl.domain import RosaPddlError
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -173,6 +174,24 @@ class WorldKind(ABC):
 # ---------------------------------------------------------------- the mission
 
 
+_FIELDS: Final[Mapping[str, tuple[Any, str]]] = {
+    "world": (WorldKind, "an object of a subclass of WorldKind"),
+    "actions": (Mapping, "a mapping of PDDL actions to behaviours"),
+    "domain": ((Path, type(None)), "a pathlib.Path"),
+    "problem": ((Path, type(None), Callable), "a pathlib.Path"),
+    "engines": (tuple, "a tuple of names"),
+}
+_PARAMETERS: Final = {
+    "model": "",
+    "tree": "kb, percepts",
+    "by_hand": "kb, percepts, managed",
+    "facts": "kb, percepts",
+    "why_not": "kb, percepts",
+    "world.open": "values, rng",
+    "world.verdict": "percepts, results, kb",
+}
+
+
 @dataclass(frozen=True)
 class Mission:
     """One mission: of the registry, or of your own.
@@ -198,7 +217,8 @@ class Mission:
         selects: whether the task layer selects configurations, so that only ours can manage it.
 
     Raises:
-        MissionError: there is no world or no task.
+        MissionError: a field has the wrong type, a function has other parameters, or there is no
+            task.
     """
 
     name: str
@@ -217,14 +237,31 @@ class Mission:
     selects: bool = False
 
     def __post_init__(self) -> None:
-        if not isinstance(self.world, WorldKind):
-            expected = "an object of a subclass of WorldKind"
-            raise MissionError(
-                f"world of mission {self.name} is {self.world!r}; expected is {expected}"
-            )
+        for name, (kind, expected) in _FIELDS.items():
+            self._check(name, isinstance(getattr(self, name), kind), expected)
+        for name, parameters in _PARAMETERS.items():
+            function = attrgetter(name)(self)
+            if function is None and name in ("tree", "by_hand"):
+                continue
+            self._check(name, callable(function), "a function")
+            try:
+                signature(function).bind(*parameters.split())
+            except TypeError as error:
+                takes = f"is called with ({parameters}), but takes {signature(function)}"
+                title = f"{name} of mission {self.name} {takes}"
+                raise MissionError(f"{title}: {error}; give it these parameters") from error
+            except ValueError:  # not written in Python
+                continue
         if self.tree is None and self.problem is None:
             hint = "give it a tree, or a PDDL domain and problem"
             raise MissionError(f"mission {self.name} has no task: {hint}")
+
+    def _check(self, name: str, is_fit: bool, expected: str) -> None:
+        if not is_fit:
+            value = attrgetter(name)(self)
+            raise MissionError(
+                f"{name} of mission {self.name} is {value!r}; expected is {expected}"
+            )
 
 
 # ---------------------------------------------------------------- an author's code

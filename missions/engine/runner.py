@@ -289,7 +289,7 @@ class MissionRun(ABC):
         elif self._turns > STANDSTILL:
             raise MissionError(
                 f"{title} stands still at {now:.3f} s, asked to go on to {until:.3f} s; advance() "
-                "goes on until something is published, a command has ended, or to the time asked for"
+                "goes on until something is published, a command has ended, or to that time"
             )
         return messages
 

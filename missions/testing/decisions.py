@@ -359,17 +359,22 @@ def replay(
     """Replay a recording, and return what is decided now.
 
     Args:
-        source: a recording, as `rosa run MISSION --record FILE` writes it, or written by hand; a rosbag2 with
-            diagnostics (MCAP or sqlite3), or one that was read already; or the messages themselves.
-        mission: the mission that decides, or its name; or, if a behaviour is given, only a model or a function that
-            makes one.
-        behaviour: makes a task layer that replaces the mission's, given the knowledge base and the percepts.
+        source: a recording, as `rosa run MISSION --record FILE` writes it, or written by hand; a
+            rosbag2 with diagnostics (MCAP or sqlite3), or one that was read already; or the
+            messages themselves.
+        mission: the mission that decides, or its name; or, if a behaviour is given, only a model or
+            a function that makes one.
+        behaviour: makes a task layer that replaces the mission's, given the knowledge base and the
+            percepts.
         task: the kind of the mission's task layer, "bt" or "pddl".
-        settings: of the run, by default those of the recording; it ends a second after the recording at the latest.
-        managed: the system that takes the commands, with its clock at 0; by default one that always obeys.
+        settings: of the run, by default those of the recording; it ends a second after the
+            recording at the latest.
+        managed: the system that takes the commands, with its clock at 0; by default one that always
+            obeys.
         watch: called with the run of the replay before it begins, e.g. to `listen` to it.
         traced: whether to keep the ticks of the tree, as `Decisions.trace`.
-        on_error: what a behaviour that raises does: "raise" ends the replay, "fail" is as on a robot.
+        on_error: what a behaviour that raises does: "raise" ends the replay, "fail" is as on a
+            robot.
 
     Raises:
         MissionError: a behaviour raises; the recording cannot be read; there is no such mission,
@@ -512,7 +517,10 @@ def _decide(run: RosaRun, world: Recording, *, traced: bool) -> Decisions:
 
 
 def golden_path(test_file: Path, test: str, name: str = "") -> Path:
-    """Return the path of a test's golden trace, in a folder beside its file; `name` if a test has several."""
+    """Return the path of a test's golden trace, in a folder beside its file.
+
+    `name` if a test has several.
+    """
     words = (
         re.sub(r"[^\w\-]+", "_", part).strip("_") for part in (test_file.stem, test, name) if part
     )
@@ -520,16 +528,20 @@ def golden_path(test_file: Path, test: str, name: str = "") -> Path:
 
 
 def check_golden(trace: Trace, path: Path, *, update: bool, command: str) -> bool:
-    """Compare a trace with the golden one; with `update`, write it if it differs. Return whether it was written.
+    """Compare a trace with the golden one; with `update`, write it if it differs.
+
+    Return whether it was written.
 
     Raises:
-        AssertionError: it differs or is missing; the message shows how, and the command that writes it.
+        AssertionError: it differs or is missing; the message shows how, and the command that writes
+            it.
         rosa_bt.TraceError: the file is no trace.
     """
     __tracebackhide__ = True
     if not isinstance(trace, Trace):
         raise TypeError(
-            f"a golden trace is a rosa_bt.Trace, such as decisions.trace, not a {type(trace).__name__}"
+            "a golden trace is a rosa_bt.Trace, such as decisions.trace, "
+            f"not a {type(trace).__name__}"
         )
     text = str(trace)
     if path.exists() and path.read_text(encoding="utf-8") == text:
@@ -555,7 +567,7 @@ def check_golden(trace: Trace, path: Path, *, update: bool, command: str) -> boo
 
 
 def readable(trace: Trace) -> Iterator[str]:
-    """Yield a trace as lines for people: for each tick with news, the events, the nodes ticked and the decisions."""
+    """Yield a trace as lines for people: for each tick with news, what changed in it."""
     yield f"model {trace.model}"
     before = None
     for tick in trace.ticks:

@@ -1,4 +1,4 @@
-"""The pytest plugin `rosa`: fixtures for tests of adaptive missions, which import nothing until they are used."""
+"""The pytest plugin `rosa`: fixtures for tests of missions, which import when used."""
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
@@ -45,7 +45,7 @@ def fake_clock() -> "FakeClock":
 
 @pytest.fixture
 def managed(fake_clock: "FakeClock") -> "ScriptedManaged":
-    """A managed system on `fake_clock` that does as scripted: `managed.script("camera", fail_first=2, takes=0.5)`."""
+    """A managed system on `fake_clock`: `managed.script("camera", fail_first=2, takes=0.5)`."""
     from missions.testing import ScriptedManaged
 
     return ScriptedManaged(fake_clock)
@@ -53,7 +53,10 @@ def managed(fake_clock: "FakeClock") -> "ScriptedManaged":
 
 @pytest.fixture
 def replay(request: pytest.FixtureRequest) -> "Callable[..., Decisions]":
-    """`missions.testing.decisions.replay`; a relative path is looked for beside the file of the test."""
+    """`missions.testing.decisions.replay`.
+
+    A relative path is looked for beside the file of the test.
+    """
     from missions.testing.decisions import replay
 
     @wraps(replay)
@@ -71,7 +74,10 @@ def replay(request: pytest.FixtureRequest) -> "Callable[..., Decisions]":
 
 @pytest.fixture
 def golden_trace(request: pytest.FixtureRequest) -> "Callable[..., None]":
-    """Compare a trace with the one in the folder `golden` beside the test; `pytest --update-traces` writes that."""
+    """Compare a trace with the one in the folder `golden` beside the test.
+
+    `pytest --update-traces` writes that.
+    """
     from missions.testing.decisions import check_golden, golden_path
 
     config = request.config

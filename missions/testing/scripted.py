@@ -22,7 +22,7 @@ LETTERS: Final = {"R": Status.RUNNING, "S": Status.SUCCESS, "F": Status.FAILURE}
 
 
 class LeafMock:
-    """A mocked leaf: returns a script, and counts its ticks, its starts, and its interruptions while running."""
+    """A mocked leaf: returns a script, and counts ticks, starts and interruptions."""
 
     def __init__(self, outcomes: tuple[Status, ...]) -> None:
         self._outcomes = outcomes
@@ -33,7 +33,10 @@ class LeafMock:
         self.starts += 1
 
     def update(self) -> Status:
-        """Return the next outcome of the script, at the end always the last one; called by the leaf."""
+        """Return the next outcome of the script, at the end always the last one.
+
+        Called by the leaf.
+        """
         self.ticks += 1
         outcome = self._outcomes[min(self.ticks, len(self._outcomes)) - 1]
         self._is_running = outcome is Status.RUNNING
@@ -47,13 +50,15 @@ class LeafMock:
 def mock_leaf(root: Behaviour, name: str, outcomes: str | Iterable[Status]) -> LeafMock:
     """Let a leaf of a tree return the outcomes of a script instead of working.
 
-    Only its own work is replaced: a `RosaAction` still requests its action and releases it, so that the robot is
+    Only its own work is replaced: a `RosaAction` still requests its action and releases it, so that
+        the robot is
     configured for it. This works for trees read from XML, too.
 
     Args:
         root: of the tree, or of the subtree in which to look.
         name: of the leaf; if several have that name, they share the script.
-        outcomes: one for each tick, as letters R, S and F or as statuses; the last one is repeated for ever.
+        outcomes: one for each tick, as letters R, S and F or as statuses; the last one is repeated
+            for ever.
 
     Raises:
         kb.UnknownName: no leaf has that name; the message lists the nearest ones.
@@ -75,7 +80,10 @@ def replace_work(
     initialise: Callable[[], object] = lambda: None,
     terminate: Callable[[Status], object] = lambda new_status: None,
 ) -> None:
-    """Replace the methods of a leaf by these; a `RosaAction` still requests its action and releases it."""
+    """Replace the methods of a leaf by these.
+
+    A `RosaAction` still requests its action and releases it.
+    """
     own: dict[str, Callable[..., object]] = {
         "update": update,
         "initialise": initialise,
@@ -123,10 +131,14 @@ class FakeClock:
         return self.advance_to(self._now + seconds)
 
     def advance_to(self, time: float) -> float:
-        """Let time pass until `time` [s], and return it; ValueError if that is in the past or not a number."""
+        """Let time pass until `time` [s], and return it.
+
+        ValueError if that is in the past or not a number.
+        """
         if not time >= self._now:
             raise ValueError(
-                f"a clock that shows {self._now:g} s cannot be moved to {time:g} s; time only passes"
+                f"a clock that shows {self._now:g} s cannot be moved to {time:g} s; "
+                "time only passes"
             )
         self._now = time
         return time
@@ -137,7 +149,8 @@ class ScriptedManaged(SimulatedComponents):
 
     Args:
         clock: gives the time; the test or the replay moves it.
-        takes: how long a command takes [s], or by verb; None: no time, or in a replay as long as recorded.
+        takes: how long a command takes [s], or by verb; None: no time, or in a replay as long as
+            recorded.
     """
 
     def __init__(self, clock: FakeClock, takes: float | Mapping[str, float] | None = None) -> None:
@@ -153,10 +166,10 @@ class ScriptedManaged(SimulatedComponents):
     def follow(
         self, commands: Iterable[tuple[str, str, float, bool]], usual: Mapping[str, float]
     ) -> None:
-        """Let unscripted commands end as recorded: (verb, component, how long [s], whether it succeeded) of each.
+        """Let unscripted commands end as recorded: (verb, component, seconds, is successful).
 
-        A command after the last recorded one of its kind ends as that did. A command of another kind takes the usual
-        time of its verb [s], unless the system was made with times of its own.
+        A command after the last recorded one of its kind ends as that did. A command of another
+        kind takes the usual time of its verb [s], unless the system was made with times of its own.
         """
         if not self._is_timed:
             self.takes = checked_times(usual)

@@ -1,4 +1,4 @@
-"""UAV: an aerial vehicle searches a field for samples and analyses them, as its battery and its gripper allow."""
+"""UAV: a quadrotor searches samples and analyses them, as battery and gripper allow."""
 
 from pathlib import Path
 

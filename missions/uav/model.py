@@ -1,14 +1,16 @@
-"""What the aerial vehicle is made of and can do: the paper's UAV use case (Silva et al., after Braberman et al.).
+"""The aerial vehicle: the paper's UAV use case (Silva et al., after Braberman et al.).
 
-The battery and the gripper decide which action is feasible. By the paper's way of counting, the model has 24 entities
-and 16 relations. Which functions an action needs is the paper's; which components serve them is our own choice.
+The battery and the gripper decide which action is feasible. By the paper's way of counting, the
+model has 24 entities and 16 relations. Which functions an action needs is the paper's; which
+components serve them is our own choice.
 """
 
 from typing import Final
 
 from kb import Model
 
-# Charge that an action needs [1]; own choice: the way home takes less than 0.1, a pick-up twice as much as a look.
+# Charge that an action needs [1]; own choice: the way home takes less than 0.1, a pick-up twice as
+# much as a look.
 PICK_UP_LEVEL: Final = 0.55
 SEARCH_LEVEL: Final = 0.3
 ANALYSE_LEVEL: Final = 0.2

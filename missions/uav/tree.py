@@ -1,4 +1,4 @@
-"""The actions and the behaviour tree of the mission: find samples and analyse them one by one, as feasible.
+"""The actions and the behaviour tree: find samples and analyse them, as feasible.
 
 until all are analysed
 └── one after another
@@ -9,10 +9,11 @@ until all are analysed
     │   └── meanwhile: return and recharge
     └── all analysed?
 
-After a pick-up, it lands and folds the gripper before it analyses on site, whatever happened in between.
+After a pick-up, it lands and folds the gripper before it analyses on site, whatever happened in
+between.
 
-Each action says when it is finished; the components that it needs do the flying. The tree and the plan executor run the
-same behaviours. Every action waits until the robot is configured for it, so
+Each action says when it is finished; the components that it needs do the flying. The tree and the
+plan executor run the same behaviours. Every action waits until the robot is configured for it, so
 one behaviour follows another only in a safe state.
 """
 
@@ -50,7 +51,7 @@ def target(percepts: Percepts) -> str:
 def is_all_analysed(percepts: Percepts) -> bool:
     """Tell whether at least one sample is wanted now, and all wanted ones are analysed."""
     wanted = [sample for sample in SAMPLES if percepts.holds(f"{sample}_wanted")]
-    return bool(wanted) and all(percepts.holds(f"{one}_analysed") for one in wanted)
+    return bool(wanted) and all(percepts.holds(f"{name}_analysed") for name in wanted)
 
 
 def facts(kb: KnowledgeBase, percepts: Percepts) -> Mapping[str, bool]:
@@ -125,9 +126,12 @@ class LandAndFoldGripper(UavAction):
 
 
 class ReturnAndRecharge(UavAction):
-    """Return to the base and recharge; plans do so only when no sample waits that can be analysed on site.
+    """Return to the base and recharge.
 
-    It costs more than analysing every sample on site, so no plan recharges only for a better analysis.
+    Plans do so only when no sample waits that can be analysed on site.
+
+    It costs more than analysing every sample on site, so no plan recharges only for a better
+    analysis.
     """
 
     title: ClassVar = "recharge"
@@ -152,11 +156,13 @@ def uav_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     analyse = first_feasible(
         "analyse", [PickUpAndAnalyse(kb, percepts), AnalyseOnSite(kb, percepts)]
     )
-    # With memory: after a sample is found, the search does not start again while the sample is analysed.
+    # With memory: after a sample is found, the search does not start again while the sample is
+    # analysed.
     work = Sequence("find and analyse", memory=True, children=[find, analyse])
-    one = do_until_unfeasible(work, ReturnAndRecharge(kb, percepts), memory=True, name="one sample")
+    recharge = ReturnAndRecharge(kb, percepts)
+    sample = do_until_unfeasible(work, recharge, memory=True, name="one sample")
     done = Condition("all analysed?", lambda: is_all_analysed(percepts))
-    every = Sequence("one after another", memory=True, children=[one, done])
+    every = Sequence("one after another", memory=True, children=[sample, done])
     tree = UntilSuccess("until all are analysed", every)
     fold = LandAndFoldGripper(kb, percepts)
     return switch_safely(tree, {("pick_up_and_analyse", "analyse_on_site"): fold})

@@ -1,7 +1,9 @@
-"""The quadrotor, simulated by MuJoCo, its controller, and the constants of vehicle and field, each with its source.
+"""The quadrotor, simulated by MuJoCo, its controller, and the constants with sources.
 
-The controller is the usual cascade: position error to velocity, velocity error to acceleration, its direction to the
-tilt of the mast, tilt error to body rates, rate error to torques; the mixer turns torques into thrusts.
+The controller is the usual cascade: position error to velocity, velocity error to acceleration, its
+    direction to the
+tilt of the mast, tilt error to body rates, rate error to torques; the mixer turns torques into
+thrusts.
 """
 
 import logging
@@ -22,7 +24,10 @@ _SCENARIO: Final = "own choice, so that the paper's three scenarios occur"
 
 @dataclass(frozen=True, slots=True)
 class Settings(Constants):
-    """The constants; frozen. World frame ENU, z up, ground at z = 0, base at the origin; times since the start."""
+    """The constants; frozen. World frame ENU, z up, ground at z = 0, base at the origin.
+
+    Times since the start.
+    """
 
     # What happens
     samples: float = setting(
@@ -103,7 +108,7 @@ POSITION_GAIN: Final = 1.0  # [1/s]
 VELOCITY_GAIN: Final = 3.0  # [1/s]
 TILT_GAIN: Final = 8.0  # [1/s]
 RATE_GAIN: Final = 25.0  # [1/s]
-_STIFFNESS: Final = tuple(one * RATE_GAIN for one in INERTIA)
+_STIFFNESS: Final = tuple(inertia * RATE_GAIN for inertia in INERTIA)
 YAW_GAIN: Final = 2.0  # [1/s]
 SIDEWAYS_M_S2: Final = 4.0  # largest horizontal acceleration that the controller wants
 VERTICAL_M_S2: Final = 4.0  # the same, upwards; downwards it is half of gravity
@@ -141,7 +146,7 @@ def wanted_force(error: Vector, trim: Vector, mass: float, gravity: float) -> Ve
 
 
 def attitude(quaternion: Sequence[float], rates: Vector, force: Vector) -> tuple[float, Vector]:
-    """Return the thrust [N] along the mast, and the torques [N m], body frame, that turn the mast towards a force.
+    """Return thrust [N] and torques [N m], body frame, that turn the mast towards a force.
 
     The torques also turn the nose to the east.
 
@@ -164,7 +169,8 @@ def attitude(quaternion: Sequence[float], rates: Vector, force: Vector) -> tuple
     left = (
         2 * (i * j - w * k) * east + (1 - 2 * (i * i + k * k)) * north + 2 * (j * k + w * i) * up
     ) / size
-    # the turn from the mast (0, 0, 1) to the wanted direction, body frame; its sine, or 1 beyond a right angle
+    # the turn from the mast (0, 0, 1) to the wanted direction, body frame; its sine, or 1 beyond a
+    # right angle
     turn_x = -left
     turn_y = forward
     if thrust <= 0.0:
@@ -178,9 +184,10 @@ def attitude(quaternion: Sequence[float], rates: Vector, force: Vector) -> tuple
 
 
 def mixed(thrust: float, torques: Vector, limit: float) -> list[float]:
-    """Return the thrust of each rotor (4,), 0 to the limit [N], for a whole thrust [N] and torques [N m], body frame.
+    """Return each rotor's thrust (4,) [N] for a whole thrust [N] and torques [N m], body frame.
 
-    If a rotor cannot give its thrust, lift is reduced before tilt: a vehicle that stays upright can fly on.
+    If a rotor cannot give its thrust, lift is reduced before tilt: a vehicle that stays upright can
+        fly on.
     """
     x = torques[0] / _ARMS_M
     y = torques[1] / _ARMS_M
@@ -188,11 +195,11 @@ def mixed(thrust: float, torques: Vector, limit: float) -> list[float]:
     z = _within(z, 0.1 * limit)  # heading matters least
     turning = (x - y + z, x + y - z, -x + y + z, -x - y - z)
     even = max(-min(turning), min(limit - max(turning), thrust / 4))
-    wanted = [even + one for one in turning]
+    wanted = [even + share for share in turning]
     return (
         wanted
         if min(wanted) >= 0.0 and max(wanted) <= limit
-        else [max(0.0, min(limit, one)) for one in wanted]
+        else [max(0.0, min(limit, thrust)) for thrust in wanted]
     )
 
 
@@ -214,7 +221,9 @@ TOUCH_M, TOUCH_M_S = 0.03, 0.2  # lower and slower than this, it stands
 
 
 class Quadrotor:
-    """A rigid body with four rotors, an arm that folds, and a load; drag is linear in the speed through the air.
+    """A rigid body with four rotors, an arm that folds, and a load.
+
+    Drag is linear in the speed through the air.
 
     Args:
         wind: (x, y) [m/s], world frame.
@@ -342,10 +351,10 @@ class Quadrotor:
         )
         error = (east - u, north - v, up - w)
         moved = [
-            one + TRIM_GAIN * _within(off, 1.0) * step_s
-            for one, off in zip(self._trim, error, strict=True)
+            trim + TRIM_GAIN * _within(off, 1.0) * step_s
+            for trim, off in zip(self._trim, error, strict=True)
         ]
-        x, y, z = [_within(one, TRIM_LIMIT) for one in moved]
+        x, y, z = [_within(trim, TRIM_LIMIT) for trim in moved]
         self._trim = trim = (x, y, z)
         force = wanted_force(error, trim, self._mass, settings.gravity_m_s2)
         return mixed(*attitude(self._turned, self._rates, force), settings.rotor_limit_n)

@@ -1,6 +1,7 @@
 """The field in which samples lie, and the components of the vehicle that flies over it.
 
-Each component acts 10 times a second while it is active. When a component that moves the vehicle stops, the vehicle
+Each component acts 10 times a second while it is active. When a component that moves the vehicle
+stops, the vehicle
 hovers where it is: the safe state between two actions.
 """
 
@@ -33,7 +34,7 @@ PERIOD_S: Final = 0.1  # period of the components
 GRIP_M: Final = 0.12  # height of the legs from which the gripper reaches the ground
 LIFT_M: Final = 2.5  # height at which a held sample is analysed
 LOOK_M: Final = 2.0  # height from which the infra-red camera looks
-FOLDED_RAD: Final = 0.15  # out of the camera's view; it counts as folded at half of this, for a margin against gusts
+FOLDED_RAD: Final = 0.15  # out of the camera's view; folded at half of this, for gusts
 FULL: Final = 0.99
 MOVERS: Final = (
     "search_planner",
@@ -66,9 +67,10 @@ class Sample:
 class UavWorld(mission.World):
     """The vehicle over its field, and the state that its components share.
 
-    Time moves only in `advance`; the same settings and seed give the same floats. Random are the places of the samples,
-    the wind, the phase of the battery monitor, and the jam. The field consists of lanes along the x axis; samples lie
-    in two patches, and the middle third of the lanes has none.
+    Time moves only in `advance`; the same settings and seed give the same floats. Random are the
+    places of the samples, the wind, the phase of the battery monitor, and the jam. The field
+    consists of lanes along the x axis; samples lie in two patches, and the middle third of the
+    lanes has none.
 
     Attributes:
         level: charge of the battery, 0 to 1.
@@ -162,17 +164,15 @@ class UavWorld(mission.World):
 
     def want(self) -> None:
         """Mark and publish the samples that are wanted from now on."""
-        for one in [
-            sample
-            for sample in self.samples
-            if not sample.is_wanted and sample.wanted_s <= self.now
-        ]:
-            one.is_wanted = True
-            self.say(f"{one.name}_wanted")
-            if one.is_reported:
-                one.is_found = True
-                self.disturb(f"an operator reports {one.name}")
-                self.say(f"{one.name}_found")
+        for sample in self.samples:
+            if sample.is_wanted or sample.wanted_s > self.now:
+                continue
+            sample.is_wanted = True
+            self.say(f"{sample.name}_wanted")
+            if sample.is_reported:
+                sample.is_found = True
+                self.disturb(f"an operator reports {sample.name}")
+                self.say(f"{sample.name}_found")
 
     def aim(self) -> None:
         """Choose the next target if there is none: reported ones first, then the nearest."""
@@ -182,7 +182,7 @@ class UavWorld(mission.World):
         waiting = [sample for sample in self.samples if sample.is_found and sample.quality is None]
         if waiting:
             self.target = min(
-                waiting, key=lambda one: (not one.is_reported, dist(one.place, place))
+                waiting, key=lambda sample: (not sample.is_reported, dist(sample.place, place))
             )
             self.say(f"{self.target.name}_target")
 
@@ -221,9 +221,9 @@ class UavWorld(mission.World):
             is_changed = self._managed.catch_up() or bool(self.messages)
         if not is_changed:
             self.now = until
-        said = self.messages
+        messages = self.messages
         self.messages = []
-        return said
+        return messages
 
     def _step(self) -> None:
         before = self.vehicle.position
@@ -240,7 +240,7 @@ class UavWorld(mission.World):
             self.publish("QA measurement", "battery_level", repr(self.level))
 
     def _drain(self) -> None:
-        """Charge and discharge the battery for one step, and record each level that the charge falls below."""
+        """Charge and discharge the battery for one step; record each level that it falls below."""
         settings = self.settings
         before = self.level
         step_s = self._step_s
@@ -260,7 +260,7 @@ class UavWorld(mission.World):
 
     @property
     def is_still(self) -> bool:
-        """Whether nothing more can happen: the battery is empty, and all samples are wanted already."""
+        """Whether nothing more can happen: the battery is empty, and all samples are wanted."""
         return not (self.vehicle.has_power or self.is_charging) and all(
             sample.is_wanted for sample in self.samples
         )
@@ -337,7 +337,7 @@ class Nodes(NamedComponents):
                 act()
 
     def check(self, component: str, parameters: Parameters, /) -> None:
-        """Raise MissionError unless the component exists and no parameters are given: none has any."""
+        """Raise MissionError unless the component exists; none has parameters."""
         if component not in self._acts or parameters:
             known = f"there are {', '.join(self._acts)}, which have no parameters"
             raise MissionError(
@@ -376,7 +376,10 @@ class Nodes(NamedComponents):
         self.watts = sum([watts for name, watts in self._powers_w.items() if name in self.active])
 
     def _worked(self, component: str, works: bool) -> float:
-        """Return how long a component has worked without a break [s]; `works` tells whether it does in this period."""
+        """Return how long a component has worked without a break [s].
+
+        `works` tells whether it does in this period.
+        """
         self._worked_s[component] = self._worked_s[component] + PERIOD_S if works else 0.0
         return self._worked_s[component]
 
@@ -388,7 +391,7 @@ class Nodes(NamedComponents):
             self._ahead = self._ahead[1:] or robot.path
 
     def _see_samples(self) -> None:
-        """Find the samples within the camera's circle below, whose radius grows with the altitude."""
+        """Find the samples in the camera's circle below, whose radius grows with altitude."""
         robot = self._robot
         vehicle = self._robot.vehicle
         radius = vehicle.altitude * tan(robot.settings.half_view_rad)
@@ -405,7 +408,10 @@ class Nodes(NamedComponents):
         self._robot.approach(GRIP_M if self._robot.held is None else LIFT_M)
 
     def _grip(self) -> None:
-        """Grip the target when it is within reach; a worn gripper jams while it lifts, and drops the sample."""
+        """Grip the target when it is within reach.
+
+        A worn gripper jams while it lifts, and drops the sample.
+        """
         robot = self._robot
         target = self._robot.target
         settings = self._robot.settings
@@ -448,10 +454,12 @@ class Nodes(NamedComponents):
             robot.analysed(settings.infrared_quality)
 
     def _return(self) -> None:
-        """Land at the base, which is the origin, and charge; while the battery is full, report this every period.
+        """Land at the base, which is the origin, and charge.
 
-        So an action that begins with a full battery receives the report too. The level is published with it, so that
-        nothing is decided by an older measurement.
+        While the battery is full, report this every period.
+
+        So an action that begins with a full battery receives the report too. The level is published
+        with it, so that nothing is decided by an older measurement.
         """
         robot = self._robot
         vehicle = self._robot.vehicle

@@ -8,7 +8,6 @@ import logging
 import re
 from collections.abc import Callable, Mapping
 from functools import wraps
-from hmac import compare_digest
 from importlib.metadata import version
 from inspect import signature
 from typing import TYPE_CHECKING, Any, Final
@@ -159,7 +158,12 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
     }
 
     class Server(MCPServer):
-        async def call_tool(self, name: str, arguments: dict[str, Any], context: Any = None) -> Any:  # noqa: ANN401  # as in its base
+        async def call_tool(
+            self,
+            name: str,
+            arguments: dict[str, Any],
+            context: Any = None,  # noqa: ANN401  # as in its base
+        ) -> Any:  # noqa: ANN401  # as in its base
             """Call a tool, and pass on our errors in words; an unknown argument is one."""
             if name not in tools:
                 raise ToolError(f"there is no tool {name!r:.80}; there are {', '.join(tools)}")
@@ -187,30 +191,3 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
         hints = ToolAnnotations(read_only_hint=name not in _ACTING)
         server.tool(name, annotations=hints)(in_words(tool))
     return server
-
-
-def serve_http(server: "MCPServer", port: int, token: str) -> None:
-    """Serve over HTTP on this machine, only to clients with the token, until interrupted.
-
-    Raises:
-        MissionError: there is no token, or the extra `mcp` is missing.
-    """
-    if not token:
-        advice = "--token, or the variable ROSA_TOKEN"
-        raise MissionError(f"over HTTP an assistant needs a token: {advice}")
-    with needs("mcp", "the server for assistants"):
-        import uvicorn
-    app = server.streamable_http_app()
-    expected = f"Bearer {token}".encode()
-    refusal = b"a token is needed: Authorization: Bearer TOKEN\n"
-    head = {"status": 401, "headers": [(b"content-type", b"text/plain")]}
-
-    async def guard(scope: Any, receive: Any, send: Any) -> None:  # noqa: ANN401  # as ASGI has it
-        authorization = dict(scope.get("headers") or ()).get(b"authorization", b"")
-        if scope["type"] == "http" and not compare_digest(authorization, expected):
-            await send({"type": "http.response.start", **head})
-            await send({"type": "http.response.body", "body": refusal})
-        else:
-            await app(scope, receive, send)
-
-    uvicorn.run(guard, host="127.0.0.1", port=port, log_level="warning")

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
-from math import inf
 from operator import itemgetter
 from os.path import exists, isdir
 from pathlib import Path
@@ -106,7 +105,6 @@ class McapFile:
 
     Attributes:
         refused: how many messages were malformed and left out, by what was wrong.
-        most: how many messages may wait to be written.
 
     Raises:
         MissionError: it cannot be written there, or the extra `mcap` is missing.
@@ -125,7 +123,6 @@ class McapFile:
             raise self._unwritten(error) from error
         self._records = _Records(self._file, use_chunking=False)
         self.refused = Refusals()
-        self.most: float = WAITING
         self._error: Exception | None = None
         self._queue: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._thread = Thread(target=self._write_all, name="mcap", daemon=True)
@@ -140,7 +137,7 @@ class McapFile:
         *arguments: Any,  # noqa: ANN401  # the arguments of make
     ) -> None:
         """Queue a message at a time [s]: the thread writes what `make(*arguments)` returns."""
-        if self.waiting < self.most:
+        if self.waiting < WAITING:
             self._queue.put(partial(self._write, topic, kind, time_s, partial(make, *arguments)))
         elif self._error is None:
             waiting = f"{self.waiting} messages wait to be written"
@@ -248,13 +245,11 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
             self._open.callback(shown.close)
         header = {"rosa": VERSION, "model": kb.model.name, "elements": kb.model.plain()}
         header |= {"page": shown.header, **(run or {})}
-        self._file.most = inf  # all that is known already is recorded, however long that takes
         self._write(RUN, ros.STRING, kb.now, ros.json_text, header)
         for event in kb.log:
             self._event(event)
         for row in shown.rows.since(0)[1]:
             self._row(row)
-        self._file.most = self._file.waiting + WAITING
         self._open.callback(kb.subscribe(self._event))
         shown.rows.listeners.append(self._row)
         self._open.callback(shown.rows.listeners.remove, self._row)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from kb import Event
 from missions.engine.mission import MissionError, needs
 from missions.views.output import plain
-from missions.wires.node import Message, RosError
+from missions.wires.node import NONSENSE, Message, RosError
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -82,13 +82,11 @@ class Library(ABC):
         values = {}
         try:
             for name, value in message.items():
-                if name not in fields:
-                    names = ", ".join(fields) or "none"
-                    raise RosError(f"{kind} has no field {name!r}; it has {names}")
                 values[name] = self._to_value(*fields[name], value)
             return self.new(kind, values)
-        except (AssertionError, AttributeError, TypeError, ValueError) as error:
-            raise RosError(f"{message!r:.60} is no {kind}: {error}") from None
+        except (AssertionError, *NONSENSE) as error:
+            names = ", ".join(fields)
+            raise RosError(f"{message!r:.60} is no {kind} of {names}: {error}") from None
 
     def _to_value(self, kind: str, length: int | None, value: Any) -> Any:  # noqa: ANN401  # of a field
         if length is not None:

@@ -1,7 +1,8 @@
 """Robots whose best configuration is to be found; the same for the same seed.
 
-20 required functions with 5 designs of 1 to 3 components each, 30 components that the designs share, with 3
-configurations each. Every design, component and configuration is estimated to affect three attributes, in steps of
+20 required functions with 5 designs of 1 to 3 components each, 30 components that the designs
+share, with 3 configurations each. Every design, component and configuration is estimated to affect
+three attributes, in steps of
 0.01, which are weighed against one another. Components and configurations use power too.
 """
 
@@ -16,10 +17,11 @@ PREFERENCE = {"accuracy": 1.0, "speed": 0.5, "wear": -0.8}
 
 def robot(seed: int) -> KnowledgeBase:
     """Return a knowledge base of a robot at rest, of which an action requires everything."""
-    draw, model = Random(seed), Model(f"robot {seed}")
+    draw = Random(seed)
+    model = Model(f"robot {seed}")
     for attribute in (*PREFERENCE, "power"):
         model.quality_attribute(attribute)
-    components = [model.component(f"component {one}") for one in range(30)]
+    components = [model.component(f"component {index}") for index in range(30)]
     for component in components:
         _estimate(component, draw, worst=-1.0)
         component.estimate("power", draw.randint(0, 500) / 100)
@@ -29,7 +31,7 @@ def robot(seed: int) -> KnowledgeBase:
             )
             _estimate(configuration, draw, worst=-0.3)
             configuration.estimate("power", draw.randint(0, 500) / 100)
-    functions = [model.function(f"function {one}", always_improve=True) for one in range(20)]
+    functions = [model.function(f"function {index}", always_improve=True) for index in range(20)]
     for function in functions:
         for number in range(5):
             parts = draw.sample(components, draw.choice((1, 2, 3)))
@@ -45,13 +47,17 @@ def robot(seed: int) -> KnowledgeBase:
 
 
 def small_robot(seed: int) -> KnowledgeBase:
-    """Return a knowledge base of a robot of which every joint choice can be tried; some of it runs already."""
-    draw, model = Random(seed), Model(f"small robot {seed}")
+    """Return a knowledge base of a robot of which every joint choice can be tried.
+
+    Some of it runs already.
+    """
+    draw = Random(seed)
+    model = Model(f"small robot {seed}")
     for attribute in ("accuracy", "wear", "power"):
         model.quality_attribute(attribute)
     components = [
-        model.component(f"component {one}", kind=draw.choice(("plain", "process")))
-        for one in range(draw.randint(2, 4))
+        model.component(f"component {index}", kind=draw.choice(("plain", "process")))
+        for index in range(draw.randint(2, 4))
     ]
     for component in components:
         for number in range(draw.randint(0, 3)):
@@ -59,7 +65,8 @@ def small_robot(seed: int) -> KnowledgeBase:
                 f"configuration {number} of {component.name}", priority=draw.choice((1, 2, None))
             )
     functions = [
-        model.function(f"function {one}", always_improve=True) for one in range(draw.randint(1, 3))
+        model.function(f"function {index}", always_improve=True)
+        for index in range(draw.randint(1, 3))
     ]
     for function in functions:
         for number in range(draw.randint(1, 3)):

@@ -1,12 +1,16 @@
 """Models of any size, and things that happen to them; the same for the same seed.
 
-A robot is a ring of subsystems of 50 elements, wired alike; the wiring is drawn once from the seed. Each subsystem also
-uses a component and a function of the next one. So a thing that happens at one place touches as many elements in a
-small robot as in a large one, and only what the size itself costs can differ.
+A robot is a ring of subsystems of 50 elements, wired alike; the wiring is drawn once from the seed.
+Each subsystem also uses a component and a function of the next one. So a thing that happens at one
+place touches as many elements in a small robot as in a large one, and only what the size itself
+costs can differ.
 
-Per subsystem: 2 actions (3 functions each), 4 functions (2 designs each), 8 designs (2 or 3 components each, so that
-a component is in 1 to 4 of them), 8 components (every second one with 2 configurations), 8 configurations, 4 attributes
-and 16 constraints: 4 for each attribute, each on 1 to 3 actions, designs, components or configurations. So the number
+Per subsystem: 2 actions (3 functions each), 4 functions (2 designs each), 8 designs (2 or 3
+    components each, so that
+a component is in 1 to 4 of them), 8 components (every second one with 2 configurations), 8
+configurations, 4 attributes
+and 16 constraints: 4 for each attribute, each on 1 to 3 actions, designs, components or
+    configurations. So the number
 of attributes grows with the robot, and each of them constrains 6 to 10 elements at every size.
 """
 
@@ -20,7 +24,8 @@ from kb import KnowledgeBase, Model, PriorityPlanner
 SUBSYSTEM = 50
 CALM = 0.5
 BANDS = ((0.2, (">=", ">")), (0.4, (">=", ">")), (0.6, ("<=", "<")), (0.8, ("<=", "<")))
-"""Thresholds of an attribute, and the operators to compare it by: all are satisfied at the calm value."""
+"""Thresholds of an attribute, and the operators to compare it by: all are satisfied at the calm
+value."""
 
 
 class Happening(NamedTuple):
@@ -61,7 +66,8 @@ WIRING = wiring(seed=0)
 def robot(size: int, wired: Wiring = WIRING) -> Model:
     """Build a model of `size` elements, which is a multiple of 100."""
     assert size % (2 * SUBSYSTEM) == 0, size
-    model, ring = Model(f"robot of {size}"), range(size // SUBSYSTEM)
+    model = Model(f"robot of {size}")
+    ring = range(size // SUBSYSTEM)
     for here in ring:
         for number in range(4):
             model.environmental_attribute(f"attribute {number} of {here}")
@@ -88,7 +94,7 @@ def robot(size: int, wired: Wiring = WIRING) -> Model:
 
 def _add_designs(model: Model, wired: Wiring, here: int, beyond: int) -> None:
     for number, positions in enumerate(wired.components):
-        components = [f"component {one} of {here}" for one in positions]
+        components = [f"component {position} of {here}" for position in positions]
         if number == 2:
             components[-1] = f"component 0 of {beyond}"
         function = model.functions[f"function {number // 2} of {here}"]
@@ -97,7 +103,7 @@ def _add_designs(model: Model, wired: Wiring, here: int, beyond: int) -> None:
 
 def _add_actions(model: Model, wired: Wiring, here: int, beyond: int) -> None:
     for number, positions in enumerate(wired.functions):
-        functions = [f"function {one} of {here}" for one in positions]
+        functions = [f"function {position} of {here}" for position in positions]
         if number == 0:
             functions.append(f"function 0 of {beyond}")
         model.action(f"action {number} of {here}", requires=functions)
@@ -174,11 +180,14 @@ def story(
     overlap: int = 1,
     wired: Wiring = WIRING,
 ) -> Iterator[Happening]:
-    """Yield `count` happenings all over the robot; as many disturbances as `overlap` go on at the same time.
+    """Yield `count` happenings all over the robot.
+
+    As many disturbances as `overlap` go on at the same time.
 
     The places within the subsystems are the same at every size; which subsystems these are is not.
     """
-    draw, where = Random(seed), Random(seed)
+    draw = Random(seed)
+    where = Random(seed)
     open_ones: list[Happening] = []
     told = 0
     while True:

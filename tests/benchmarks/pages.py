@@ -1,4 +1,6 @@
-"""Twenty pages that look at a robot, from a process of their own: python pages.py URL; the last one never reads.
+"""Twenty pages that look at a robot, from a process of their own: python pages.py URL.
+
+The last one never reads.
 
 Each of the others prints how many rows it got and whether any was missing between them.
 """
@@ -14,10 +16,14 @@ PAGES = 20
 
 
 async def look(url):
-    """Follow until the view is closed; returns the number after the last row, and how many were not given."""
+    """Follow until the view is closed.
+
+    Returns the number after the last row, and how many were not given.
+    """
     async with websockets.connect(url, max_size=None, compression=None) as page:
         hello = json.loads(await page.recv())
-        following, missed = hello["next"], 0
+        following = hello["next"]
+        missed = 0
         print("looking", flush=True)
         async for text in page:
             said = json.loads(text)

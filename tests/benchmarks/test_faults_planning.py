@@ -1,4 +1,4 @@
-"""Much that goes wrong while plans are made and done: 10,000 replans in random worlds, and interrupts everywhere.
+"""Faults while plans are made and done: 10,000 replans in random worlds, and interrupts.
 
 `pytest -n 0 -m benchmark tests/benchmarks/test_faults_planning.py -s` prints the counts.
 """
@@ -35,7 +35,10 @@ EVERY = 4  # of so many instructions one is interrupted before
 
 
 def test_ten_thousand_replans_reach_exactly_what_can_be_reached_and_leave_nothing():
-    plans, episodes, reached, seed = 0, 0, 0, 0
+    plans = 0
+    episodes = 0
+    reached = 0
+    seed = 0
     ground = Ground(0)
     episode(ground, 10**6)
     gc.collect()
@@ -45,7 +48,10 @@ def test_ten_thousand_replans_reach_exactly_what_can_be_reached_and_leave_nothin
             ground.planner.close()
             ground = Ground(seed // 40)
         made, can = episode(ground, seed)
-        plans, episodes, reached, seed = plans + made, episodes + 1, reached + can, seed + 1
+        plans = plans + made
+        episodes = episodes + 1
+        reached = reached + can
+        seed = seed + 1
     gc.collect()
     print(
         f"\n{plans} replans in {episodes} episodes; the goal in reach in {reached} and reached, else never said to be"
@@ -55,7 +61,9 @@ def test_ten_thousand_replans_reach_exactly_what_can_be_reached_and_leave_nothin
 
 
 def test_interrupts_before_every_few_instructions_leave_nothing_owned():
-    extended, planner, tried = load_mission("suave_extended"), Planner(), 0
+    extended = load_mission("suave_extended")
+    planner = Planner()
+    tried = 0
     planner.plan(Problem(extended, initial_state(extended)))
 
     def make():

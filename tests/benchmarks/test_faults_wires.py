@@ -1,7 +1,9 @@
-"""Wires cut at random, nonsense without end, assistants that mean ill, recordings cut anywhere; and what wires cost.
+"""Wires cut at random, nonsense without end, assistants that mean ill, recordings cut anywhere.
 
-`CUTS` says how often a connection is cut, `NONSENSE` how many messages are none, `HOSTILE` how many requests mean ill,
-`PREFIXES` at how many places a recording is cut.
+And what wires cost.
+
+`CUTS` says how often a connection is cut, `NONSENSE` how many messages are none, `HOSTILE` how many
+requests mean ill, `PREFIXES` at how many places a recording is cut.
 """
 
 import gc
@@ -56,16 +58,17 @@ def rows(tables):
 
 def test_connections_are_cut_at_random(rows):
     cuts = [requests_through_cuts(seed, cuts=10) for seed in range(CUTS // 10)]
-    lost, doubled = sum(one.lost for one in cuts), sum(one.doubled for one in cuts)
+    lost = sum(cut.lost for cut in cuts)
+    doubled = sum(cut.doubled for cut in cuts)
     rows.append(
         (
             "connection cut",
             CUTS,
-            f"{sum(one.acknowledged for one in cuts)} acknowledged, {lost} lost, {doubled} doubled",
+            f"{sum(cut.acknowledged for cut in cuts)} acknowledged, {lost} lost, {doubled} doubled",
         )
     )
     assert (lost, doubled) == (0, 0)
-    assert all(one.acknowledged > 20 for one in cuts)
+    assert all(cut.acknowledged > 20 for cut in cuts)
 
 
 def test_nonsense_is_counted_and_memory_is_flat(rows):
@@ -73,7 +76,9 @@ def test_nonsense_is_counted_and_memory_is_flat(rows):
     tracemalloc.start()
     try:
         with rig("rosbridge") as robot:
-            client, refused, held = next(one for one in robot.host.clients if one.topics), [0], []
+            client = next(client for client in robot.host.clients if client.topics)
+            refused = [0]
+            held = []
             for _ in range(5):
                 for number in range(NONSENSE // 10):
                     text = rng.choice(SPECIMENS)
@@ -111,7 +116,8 @@ def test_hostile_requests_of_assistants(rows):
         "x" * 5000,
     ]
     keys = ["action", "element", "preference", "measured", "x"]
-    before, calls = len(list(kb.log)), []
+    before = len(list(kb.log))
+    calls = []
     for _ in range(HOSTILE):
         tool = rng.choice(["request_action", "cancel_action", "what_if", "why", "plan"])
         given = {key: rng.choice(values) for key in rng.sample(keys, rng.randint(0, 3))}
@@ -126,9 +132,12 @@ def test_hostile_requests_of_assistants(rows):
 
 
 def test_every_prefix_of_a_recording_replays(rows, tmp_path):
-    path, cut, rng = tmp_path / "drop.mcap", tmp_path / "cut.mcap", random.Random(3)
+    path = tmp_path / "drop.mcap"
+    cut = tmp_path / "cut.mcap"
+    rng = random.Random(3)
     rosa("run", "suave_extended", "--no-progress", "--record", path, "--set", "duration_s=200")
-    whole, data = read_bag(path), path.read_bytes()
+    whole = read_bag(path)
+    data = path.read_bytes()
     replayed = 0
     for _ in range(PREFIXES):
         cut.write_bytes(data[: rng.randrange(20_000, len(data))])
@@ -149,7 +158,9 @@ def test_a_thousand_diagnostics_a_second(rows):
     with rig("rosbridge") as robot:
         diagnose(robot, status("robot", 0, "QA status", energy=0.5))
         array = {"header": {}, "status": [status("robot", 0, "QA status", energy=0.5)]}
-        before, used, began = robot.bridge.heard, time.process_time(), time.monotonic()
+        before = robot.bridge.heard
+        used = time.process_time()
+        began = time.monotonic()
         for number in range(1000 * seconds):
             robot.host.publish("/diagnostics", "", array)
             time.sleep(max(0.0, began + number / 1000 - time.monotonic()))
@@ -162,7 +173,8 @@ def test_a_thousand_diagnostics_a_second(rows):
 def test_an_hour_of_diagnostics_is_decided_again(rows, tmp_path):
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    kept, folder = ros.types(), tmp_path / "hour"
+    kept = ros.types()
+    folder = tmp_path / "hour"
     with Writer(folder, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
         topic = writer.add_connection("/diagnostics", ros.DIAGNOSTICS, typestore=kept.store)
         for number in range(360_000):

@@ -21,7 +21,10 @@ PAGES, ROUNDS, SIMULATED_S, SPEED = 20, 5, 60, 20
 
 
 def flown(pages):
-    """Fly a mission that so many pages look at; returns its processor time for a tick [s], its rows and the pages'."""
+    """Fly a mission that so many pages look at.
+
+    Returns its processor time for a tick [s], its rows and the pages'.
+    """
     steering = Steering(SPEED)
     run = open_run(find_mission("suave_extended"), settings={"duration": str(SIMULATED_S)})
     run.listen(steering)
@@ -49,7 +52,9 @@ def flown(pages):
 
 def test_twenty_pages_cost_a_tick_five_percent_at_most_and_all_but_the_frozen_one_get_every_row():
     flown(0)
-    alone_s, watched_s, rows = [], [], []
+    alone_s = []
+    watched_s = []
+    rows = []
     for _ in range(ROUNDS):
         alone, alone_wall, _, _ = flown(0)
         watched, watched_wall, count, found = flown(PAGES)

@@ -65,7 +65,8 @@ def whole(label, seed):
         while sea.now < MISSION_S:
             sea.advance(MISSION_S)
         return process_time() - start, {}
-    vehicle, settings = sea._env._vehicle, sea.settings
+    vehicle = sea._env._vehicle
+    settings = sea.settings
     start = process_time()
     for _ in range(round(MISSION_S / settings.control_period_s)):
         vehicle.push([0.0] * 6)
@@ -85,9 +86,11 @@ def in_place(tables):
 
 @pytest.mark.parametrize("mission", PLACES)
 def test_a_run_beside_its_own_calls_of_the_physics(mission, in_place, monkeypatch):
-    """Time runs, and the physics within as many more, in turn: both suffer from the same neighbours on the machine."""
+    """Time runs, and the physics within as many more, in turn, on the same machine."""
     mujoco = pytest.importorskip("mujoco")
-    step, spent, calls = mujoco.mj_step, [0.0], [0]
+    step = mujoco.mj_step
+    spent = [0.0]
+    calls = [0]
 
     def timed(*arguments):
         start = thread_time()
@@ -105,13 +108,16 @@ def test_a_run_beside_its_own_calls_of_the_physics(mission, in_place, monkeypatc
     for _ in range(100_000):
         thread_time()
     clock_s = (thread_time() - start) / 100_000
-    wholes, physics = [], []
+    wholes = []
+    physics = []
     for _ in range(MISSION_ROUNDS + 1):
         wholes.append(took())
-        spent[0], calls[0] = 0.0, 0
+        spent[0] = 0.0
+        calls[0] = 0
         with monkeypatch.context() as patched:
             patched.setattr(mujoco, "mj_step", timed)
             took()
         physics.append(spent[0] - calls[0] * clock_s)
-    all_s, physics_s = min(wholes[1:]), min(physics[1:])
+    all_s = min(wholes[1:])
+    physics_s = min(physics[1:])
     in_place[mission] = (mission, shown(all_s), shown(physics_s), f"{all_s / physics_s:.1f}")

@@ -1,4 +1,4 @@
-"""What a step of the page's slider costs with a tree of 1,000 nodes, beside the same step with one of ten."""
+"""What a step of the page's slider costs with a tree of 1,000 nodes, beside one of ten."""
 
 import sys
 from pathlib import Path
@@ -27,7 +27,7 @@ def step_s(page):
 
     def spent():
         metrics = session.send("Performance.getMetrics")["metrics"]
-        return next(one["value"] for one in metrics if one["name"] == "TaskDuration")
+        return next(metric["value"] for metric in metrics if metric["name"] == "TaskDuration")
 
     rounds = []
     for _ in range(3):

@@ -1,4 +1,7 @@
-"""How long a query takes after an event, and again while nothing happens; run it on two versions to compare."""
+"""How long a query takes after an event, and again while nothing happens.
+
+Run it on two versions to compare.
+"""
 
 import pytest
 

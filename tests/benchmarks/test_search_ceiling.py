@@ -1,4 +1,4 @@
-"""How much of the pipeline could be inspected at most: searches that know what no manager knows, by the same rules."""
+"""How much of the pipeline could be inspected at most, by searches that know everything."""
 
 from random import Random
 from statistics import fmean
@@ -11,7 +11,8 @@ from suave_env.sea import expected_altitude
 
 pytestmark = pytest.mark.benchmark
 
-SEEDS, BUILDING = range(100), range(1000, 1012)
+SEEDS = range(100)
+BUILDING = range(1000, 1012)
 TRIALS = {"tuned": 120, "omniscient": 150}
 END_S, TICK_S = 300.0, 0.1
 HIGHEST = [3.0] * 300
@@ -20,13 +21,15 @@ HIGHEST = [3.0] * 300
 def inspected(seed, altitudes, *, obeys_water=True, until=END_S, follows=True, **settings):
     """Return when the pipeline is found [s] and how much is inspected [m].
 
-    Altitudes are those of each second, 0 for standing still; the water is known without delay, and lowers them to what
-    it allows. A stuck thruster is recovered at once.
+    Altitudes are those of each second, 0 for standing still; the water is known without delay, and
+    lowers them to what it allows. A stuck thruster is recovered at once.
     """
     env = SuaveEnv(Settings().replace(battery=False, **settings), np.random.default_rng(seed))
-    nodes, tick = env.components, 0
+    nodes = env.components
+    tick = 0
     while env.now < until:
-        seen, found = env.observe(), env.metrics.found_s
+        seen = env.observe()
+        found = env.metrics.found_s
         if found is not None:
             if not follows:
                 return found, 0.0
@@ -47,7 +50,7 @@ def inspected(seed, altitudes, *, obeys_water=True, until=END_S, follows=True, *
 
 
 def climbed(seeds, trials):
-    """Return the altitudes by which the pipeline is found soonest in these seas, of so many that are tried."""
+    """Return the altitudes by which the pipeline is found soonest in these seas."""
 
     def takes(altitudes, most):
         total = 0.0
@@ -58,15 +61,18 @@ def climbed(seeds, trials):
                 return END_S
         return total / len(seeds)
 
-    chance, best = Random(seeds[0]), HIGHEST
+    chance = Random(seeds[0])
+    best = HIGHEST
     least = takes(best, END_S)
     for _ in range(trials):
         tried = list(best)
         for _ in range(chance.choice((1, 1, 2, 3))):
-            first, length = chance.randrange(140), chance.choice((1, 2, 3, 5, 8, 13, 20, 30))
+            first = chance.randrange(140)
+            length = chance.choice((1, 2, 3, 5, 8, 13, 20, 30))
             tried[first : first + length] = [chance.choice((0.0, 1.0, 2.0, 3.0))] * length
         if (took := takes(tried, least)) <= least:
-            best, least = tried, took
+            best = tried
+            least = took
     return best
 
 

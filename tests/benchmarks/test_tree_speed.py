@@ -1,4 +1,4 @@
-"""What asking the knowledge base adds to a tick, beside the same tree with constant leaves under plain py_trees."""
+"""What asking the knowledge base adds to a tick of a tree of plain py_trees."""
 
 from collections.abc import Callable
 from statistics import median
@@ -26,7 +26,7 @@ ROUNDS, TICKS = 30, 100
 
 
 def searching() -> tuple[KnowledgeBase, Percepts]:
-    """Return a knowledge base and percepts of a vehicle that searches, in clear water with a full battery."""
+    """Return knowledge base and percepts of a vehicle that searches, with a full battery."""
     kb = KnowledgeBase(suave_extended_model(), clock=lambda: 0.0)
     kb.measure("water_visibility", 3.5)
     kb.measure("battery_level", 1.0)
@@ -50,7 +50,7 @@ def recharging() -> tuple[KnowledgeBase, Percepts]:
 
 
 def constant(node: Behaviour) -> Behaviour:
-    """Return a twin of a tree that was ticked, of plain nodes, whose leaves go on returning what they returned."""
+    """Return a twin of a ticked tree, of plain nodes, whose leaves repeat their status."""
     children = [constant(child) for child in node.children]
     if not children:
         return CONSTANT.get(node.status, Running)(node.name)

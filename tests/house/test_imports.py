@@ -42,7 +42,6 @@ ALLOWED = {
         "rosbags",
         "rosidl_runtime_py",
         "textual",
-        "uvicorn",
         "websockets",
         "zmq",
     },
@@ -67,7 +66,6 @@ LATE = {
     "rosbags",
     "rosidl_runtime_py",
     "textual",
-    "uvicorn",
     "websockets",
     "zmq",
 }

@@ -10,7 +10,8 @@ from py_trees.common import Status
 from kb import KnowledgeBase, Model
 from rosa_pddl import Planner, Problem, initial_state, load_domain
 
-# Every kind of condition and effect: at start, over all and at end; quantified, conditional, negative; costs.
+# Every kind of condition and effect: at start, over all and at end; quantified, conditional,
+# negative; costs.
 HOUSE = """(define (domain house)
   (:types action room robot)
   (:predicates (action_feasible ?a - action) (go_action ?a - action) (look_action ?a - action)
@@ -72,7 +73,10 @@ class House:
     """A knowledge base, percepts, and a log of what steps begin and how they end."""
 
     def __init__(self, script=(), disturbances=()):
-        """Take for each step how many ticks it takes and how it ends; and what happens at which tick."""
+        """Take for each step how many ticks it takes and how it ends.
+
+        And what happens at which tick.
+        """
         model = Model("house")
         for action in ("go", "look"):
             model.action(action)
@@ -105,7 +109,8 @@ class Task(Behaviour):
 
     def __init__(self, step, world):
         super().__init__(str(step))
-        self.step, self.world = step, world
+        self.step = step
+        self.world = world
 
     def initialise(self):
         self.left, self.end = self.world.next_task()

@@ -30,7 +30,10 @@ class Watcher(Listener):
 def run_mission(
     name, task="bt", seed=0, listeners=None, **changed
 ) -> tuple[MissionRun, Verdict, dict]:
-    """Run a mission, by default watched by somebody; returns the run, the verdict and the result as data."""
+    """Run a mission, by default watched by somebody.
+
+    Returns the run, the verdict and the result as data.
+    """
     values = {key: str(value) for key, value in changed.items()}
     watching = (Watcher(),) if listeners is None else tuple(listeners)
     run = open_run(find_mission(name), task=task, seed=seed, settings=values)
@@ -40,7 +43,7 @@ def run_mission(
 
 
 def rosa_run(mission, task, world, settings=None, listeners=()) -> MissionRun:
-    """Return a run of a mission in a world that is open, with a task layer of ours, ready for `run()`."""
+    """Return a run of a mission in an open world, with a task layer of ours."""
     run = RosaRun(mission, task, world, settings or RunSettings())
     run.listen(*listeners)
     return run

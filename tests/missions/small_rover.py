@@ -9,7 +9,8 @@ from rosa_bt import RosaAction, do_until_unfeasible
 
 def rover_model() -> Model:
     model = Model("rover")
-    light, energy = model.environmental_attribute("light"), model.quality_attribute("energy")
+    light = model.environmental_attribute("light")
+    energy = model.quality_attribute("energy")
     camera = model.component("camera", kind="lifecycle", always_improve=True)
     camera.configuration("day", {"exposure_s": 0.01}, priority=1, constraints=[light >= 0.5])
     camera.configuration("night", {"exposure_s": 0.2}, priority=2)
@@ -30,17 +31,16 @@ class Sensing(RosaAction):
 
     def __init__(self, name, kb, percepts, until):
         super().__init__(name, kb, name)
-        self.percepts, self.until = percepts, until
+        self.percepts = percepts
+        self.until = until
 
     def update(self):
         return Status.SUCCESS if self.percepts.holds(self.until) else Status.RUNNING
 
 
 def rover_tree(kb, percepts):
-    explore, charge = (
-        Sensing("explore", kb, percepts, "explored"),
-        Sensing("charge", kb, percepts, "charged"),
-    )
+    explore = Sensing("explore", kb, percepts, "explored")
+    charge = Sensing("charge", kb, percepts, "charged")
     return do_until_unfeasible(explore, charge, memory=True, name="mission")
 
 

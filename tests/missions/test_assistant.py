@@ -1,24 +1,17 @@
-"""Assistants ask the knowledge base by the Model Context Protocol, with a client of the protocol's own library."""
+"""Assistants ask the knowledge base, with a client of the protocol's own library."""
 
 import json
 import random
-import socket
-import subprocess
 import sys
-import time
-from contextlib import suppress
 from functools import partial
 from importlib.metadata import version
-from urllib.error import HTTPError
-from urllib.request import Request, urlopen
 
 import anyio
 import pytest
 
 from kb import KnowledgeBase
-from missions.engine.mission import MissionError
 from missions.suave_extended import MISSION
-from missions.wires.assistant import Assistant, mcp_server, serve_http
+from missions.wires.assistant import Assistant, mcp_server
 
 ASKING = {
     "best_configuration",
@@ -109,7 +102,8 @@ def test_request_has_to_be_allowed_and_passes_the_gate(kb):
 
 
 def test_hostile_requests_get_no_unfeasible_action_through(kb):
-    rng, name = random.Random(8), "inspect_pipeline"
+    rng = random.Random(8)
+    name = "inspect_pipeline"
     values = [None, 3, [], {}, name, [name], {"name": name}, "", "inspect", MUCH, "';--"]
     before = len(list(kb.log))
     calls = [
@@ -161,39 +155,3 @@ def test_program_serves_over_stdio():
     told, answer = anyio.run(ask)
     assert told == version("rosa-taca")
     assert "recharge" in answer
-
-
-def test_http_needs_a_token(kb):
-    with pytest.raises(MissionError, match="needs a token"):
-        serve_http(mcp_server(Assistant(kb)), 0, "")
-
-
-def test_over_http_only_who_has_the_token_is_answered():
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    options = ["--http", str(port), "--token", "secret"]
-    command = [sys.executable, "-m", "missions", "mcp", "suave_extended", *options]
-    ping = json.dumps({"jsonrpc": "2.0", "id": 1, "method": "ping"}).encode()
-    kinds = {"Content-Type": "application/json", "Accept": "application/json"}
-
-    def status(**headers):
-        request = Request(f"http://127.0.0.1:{port}/mcp", ping, {**kinds, **headers})
-        try:
-            return urlopen(request, timeout=120).status
-        except HTTPError as error:
-            with error:
-                return error.code
-
-    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as program:
-        try:
-            while True:
-                assert program.poll() is None
-                with suppress(ConnectionRefusedError):
-                    socket.create_connection(("127.0.0.1", port)).close()
-                    break
-                time.sleep(0.1)
-            assert (status(), status(Authorization="Bearer wrong")) == (401, 401)
-            assert status(Authorization="Bearer secret") != 401
-        finally:
-            program.terminate()

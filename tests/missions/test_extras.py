@@ -97,7 +97,7 @@ def test_a_robot_needs_none_of_the_extras_and_a_solver_that_is_missing_is_named(
 
 
 def test_missing_extra_is_named(tmp_path):
-    """Each command is a process of its own, a copy of one that has imported nothing of what may be missing."""
+    """Each command is a process of its own, which has imported nothing that may be missing."""
     campaign = Campaign("one", ("suave",), runs=1, settings={"duration_s": "5"})
     with Store(tmp_path / "results", campaign) as store:
         store.keep(do(next(campaign.planned())))

@@ -15,7 +15,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from py_trees.behaviours import Running
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.serde import SerdeError
@@ -27,14 +26,12 @@ from kb import KnowledgeBase, Model
 from missions import cli
 from missions.baselines import open_run
 from missions.engine.mission import MissionError, find_mission
-from missions.engine.recording import header, measured, read_recording
+from missions.engine.recording import header, read_recording
 from missions.engine.runner import Listener
-from missions.suave.world import Sea
 from missions.testing.decisions import replay
 from missions.views.recorder import RunRecorder
 from missions.wires import mcap, ros
-from missions.wires.mcap import RUN, VERSION, Bag, McapFile, McapRecorder, read_bag, read_page
-from rosa_bt import ForAction, TreeRunner, first_feasible
+from missions.wires.mcap import Bag, McapFile, McapRecorder, read_bag, read_page
 
 BATTERY_DROP = Path(__file__).with_name("battery_drop.jsonl")
 TOPICS = {"/attributes/battery_level", "/attributes/water_visibility", "/behavior_tree"} | {
@@ -103,7 +100,7 @@ def test_diagnostics_encoded_are_decoded_as_they_were(statuses):
     end = 20 if not statuses else len(data.rstrip(b"\0"))  # after it comes padding, if anything
     for size in range(end):
         with pytest.raises((SerdeError, ValueError, Torn)):
-            ros.statuses_of(data[:size])
+            ros.plain_statuses(ros.types().decode(ros.DIAGNOSTICS, data[:size]))
 
 
 def test_recorder_takes_diagnostics_in_every_form(tmp_path):
@@ -233,10 +230,12 @@ def test_replay_decides_as_recorded(mission, task, tmp_path):
 
 
 def test_report_of_a_recording_is_that_of_the_run(tmp_path):
-    path, page = tmp_path / "run.mcap", tmp_path / "run.html"
+    path = tmp_path / "run.mcap"
+    page = tmp_path / "run.html"
     options = ("--no-progress", "--set", "duration_s=60", "--record", path, "--report", page)
     rosa("run", "suave", *options, code=1)
-    run, recorded = read_report(page), read_page(path)
+    run = read_report(page)
+    recorded = read_page(path)
     assert recorded.header == run.header
     rows = [tuple(row) for row in json.loads(json.dumps(recorded.rows)) if row[1] != "whatif"]
     assert sorted(map(repr, rows)) == sorted(repr(row) for row in run.rows if row[1] != "whatif")
@@ -249,8 +248,10 @@ class Stop(Listener):
 
 
 def test_run_stopped_by_hand_is_decided_as_recorded(tmp_path):
-    path, run = tmp_path / "run.mcap", open_run(find_mission("suave"), seed=0, settings={})
-    page, about = RunRecorder(run, 0, {}).recorder, header(run, 0)["run"]
+    path = tmp_path / "run.mcap"
+    run = open_run(find_mission("suave"), seed=0, settings={})
+    page = RunRecorder(run, 0, {}).recorder
+    about = header(run, 0)["run"]
     with McapRecorder(path, run.kb, run.tree, page=page, run=about) as recorder:
         run.listen(recorder, Stop())
         with pytest.raises(KeyboardInterrupt):
@@ -280,7 +281,7 @@ def test_replay_says_from_when_it_decides_otherwise(drop, tmp_path, monkeypatch)
     models = "recorded with the model suave_extended, decided with suave_extended"
     assert first.startswith(f"{models}, which is another one")
     assert "0.4" in second
-    assert second.endswith("is not in the recording")
+    assert second.endswith("is not in the store")
 
 
 def test_recording_of_an_own_mission_says_how_to_name_it(tmp_path):
@@ -290,29 +291,13 @@ def test_recording_of_an_own_mission_says_how_to_name_it(tmp_path):
     assert refused("replay", path).endswith(text)
 
 
-def test_own_robot_is_recorded_and_shown(tmp_path):
-    now = [0.0]
-    kb = KnowledgeBase(robot_kb().model, clock=lambda: now[0])
-    leaves = [ForAction(name, kb, name, Running(name)) for name in ("explore", "charge")]
-    runner = TreeRunner(first_feasible("what to do", leaves), clock=lambda: now[0])
-    with McapRecorder(tmp_path / "rover.mcap", kb, runner.tree) as recorder:
-        for time_s, energy in enumerate((0.9, 0.3, 0.1)):
-            now[0] = float(time_s)
-            message = measured(now[0], energy=energy)
-            recorder.message(message)
-            kb.receive(message)
-            runner.tick()
-    bag, page = read_bag(tmp_path / "rover.mcap"), read_page(tmp_path / "rover.mcap")
-    assert [message["time"] for message in bag.messages] == [0.0, 1.0, 2.0]
-    assert page.title == "rover"
-    assert [value["action"] for value in page.last("action").values()]
-
-
 # ------------------------------------------------------------ files that are not sound
 
 
 def test_prefix_is_read_up_to_there_and_decided_alike(drop, tmp_path):
-    whole, data, rng = read_bag(drop), drop.read_bytes(), random.Random(7)
+    whole = read_bag(drop)
+    data = drop.read_bytes()
+    rng = random.Random(7)
     cut = tmp_path / "cut.mcap"
     for size in [*(rng.randrange(20_000, len(data)) for _ in range(4)), len(data) - 1]:
         cut.write_bytes(data[:size])
@@ -323,19 +308,10 @@ def test_prefix_is_read_up_to_there_and_decided_alike(drop, tmp_path):
     assert "decided as recorded" in rosa("replay", cut)
 
 
-def test_flipped_bit_loses_no_more_than_what_follows(drop, tmp_path):
-    whole, rng = read_bag(drop), random.Random(5)
-    for _ in range(10):
-        data = bytearray(drop.read_bytes())
-        data[rng.randrange(100, len(data))] ^= 1 << rng.randrange(8)
-        (tmp_path / "flipped.mcap").write_bytes(data)
-        with suppress(MissionError):
-            bag = read_bag(tmp_path / "flipped.mcap")
-            assert bag.cut or bag.problems or bag.events == whole.events
-
-
 def test_file_that_was_never_completed_holds_every_message(tmp_path):
-    kb, path, copy = robot_kb(), tmp_path / "killed.mcap", tmp_path / "copy.mcap"
+    kb = robot_kb()
+    path = tmp_path / "killed.mcap"
+    copy = tmp_path / "copy.mcap"
     recorder = McapRecorder(path, kb)
     for value in range(100):
         kb.measure("energy", 0.5 + value / 1000)
@@ -353,7 +329,8 @@ def test_file_that_was_never_completed_holds_every_message(tmp_path):
 
 
 def test_converted_file_replaces_only_when_it_is_whole(drop, tmp_path):
-    copy, nonsense = tmp_path / "copy.mcap", tmp_path / "nonsense.mcap"
+    copy = tmp_path / "copy.mcap"
+    nonsense = tmp_path / "nonsense.mcap"
     copy.write_bytes(drop.read_bytes())
     rosa("record", "convert", copy, copy)
     assert read_bag(copy) == read_bag(drop)
@@ -408,33 +385,7 @@ def test_recording_of_another_version_is_refused(tmp_path):
         read_bag(tmp_path / "new.mcap")
 
 
-def test_recording_whose_header_is_torn_is_refused(tmp_path):
-    file = McapFile(tmp_path / "torn.mcap")
-    file.write(RUN, ros.STRING, 0.0, ros.json_text, {"rosa": VERSION, "model": "rover"})
-    file.close()
-    with pytest.raises(MissionError, match="lacks elements, page"):
-        read_page(tmp_path / "torn.mcap")
-
-
 # ------------------------------------------------------------ what cannot be written
-
-
-def test_recording_that_begins_late_holds_all_before(tmp_path, monkeypatch):
-    monkeypatch.setattr(mcap, "WAITING", 3)
-    kb = robot_kb()
-    for number in range(2000):
-        kb.measure("energy", 1.0 - number / 2000)
-    McapRecorder(tmp_path / "run.mcap", kb).close()
-    assert len(read_bag(tmp_path / "run.mcap").events) == len(kb.log)
-
-
-def test_run_says_what_could_not_be_recorded(tmp_path, monkeypatch):
-    advance = Sea.advance
-    odd = {"status": [{"message": "\ud800", "values": {}}]}
-    monkeypatch.setattr(Sea, "advance", lambda *run: [{**m, **odd} for m in advance(*run)])
-    options = ("--no-progress", "--set", "duration_s=5", "--record", tmp_path / "run.mcap")
-    text = rosa("run", "suave", *options, code=1)
-    assert "times: /diagnostics: UnicodeEncodeError" in text
 
 
 def test_file_stays_as_it_is_where_the_library_is_missing(tmp_path, monkeypatch):
@@ -454,7 +405,8 @@ def test_file_that_cannot_be_written_is_told(tmp_path, place):
 
 
 def test_recording_without_room_holds_what_came_before(tmp_path):
-    kb, limits = robot_kb(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    kb = robot_kb()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     recorder = McapRecorder(tmp_path / "full.mcap", kb)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
     try:
@@ -471,7 +423,8 @@ def test_recording_without_room_holds_what_came_before(tmp_path):
     ("count", "words"), [(1000, "does not keep up, 100 messages wait"), (1, "does not answer")]
 )
 def test_disk_that_hangs_holds_up_nobody(tmp_path, monkeypatch, count, words):
-    answers, add = Event(), mcap._Records.add
+    answers = Event()
+    add = mcap._Records.add
     monkeypatch.setattr(mcap._Records, "add", lambda *given: answers.wait(60) and add(*given))
     monkeypatch.setattr(mcap, "WAITING", 100)
     monkeypatch.setattr(mcap, "PATIENCE_S", 0.05)

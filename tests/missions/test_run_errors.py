@@ -149,7 +149,7 @@ class Rash(RosaAction):
 class Gone(Planner):
     """Was there when it was looked for, and is not any more."""
 
-    def missing(self, domain):
+    def missing(self):
         return None
 
 

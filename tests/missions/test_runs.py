@@ -149,7 +149,8 @@ class Planning(Running):
 
 
 def test_plans_of_several_behaviours_are_listed_in_order():
-    first, second = Planning("first"), Planning("second")
+    first = Planning("first")
+    second = Planning("second")
     root = Parallel("both", ParallelPolicy.SuccessOnAll(), [first, second])
     mission = replace(find_mission("suave"), tree=lambda kb, percepts: root)
     kb = KnowledgeBase(mission.model(), clock=lambda: 0.0)

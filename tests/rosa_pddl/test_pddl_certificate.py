@@ -57,7 +57,9 @@ def agv_and_other_plannings(every):
         certified(question, 300.0, 2),
         Planner(timeout_s=300.0),
     )
-    return found, {out: cold.plan(question.problem_without(out)) for out in list(found.entries)[::every]}
+    return found, {
+        out: cold.plan(question.problem_without(out)) for out in list(found.entries)[::every]
+    }
 
 
 def test_entries_of_the_ground_vehicle_are_what_planning_from_there_says():
