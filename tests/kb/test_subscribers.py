@@ -81,16 +81,6 @@ def test_no_lock_is_held_while_the_code_of_others_runs(where):
     assert len(answered) == 2
 
 
-def test_who_holds_a_base_is_heard_once_it_is_held_no_more():
-    kb, heard = base(), []
-    kb.subscribe(lambda event: heard.append(event.number))
-    with kb.reading():
-        kb.measure("light", 0.1)
-        assert heard == []
-    kb.measure("light", 0.2)
-    assert heard == [1, 2]
-
-
 def in_a_fork(child):
     """Run something in a child of fork; returns its exit code, 0 if it returned True."""
     pid = os.fork()
