@@ -19,7 +19,7 @@ from types import MappingProxyType
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 from weakref import WeakSet, finalize
 
-from kb import facts, situations, views
+from kb import elements, situations, views
 from kb.debounce import NEVER
 from kb.diagnostics import DiagnosticProblem, DiagnosticRules, record_diagnostics
 from kb.elements import (
@@ -42,7 +42,7 @@ from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
 from kb.explain import reading as reading_in_words
 from kb.explain import staleness, why, why_selected
 from kb.forecast import Forecaster, feasible_until
-from kb.model import Model, Serials, amend, amendment
+from kb.model import Model
 from kb.network import Network, Node
 from kb.ontology import Answer, Ontology
 from kb.records import (
@@ -209,12 +209,11 @@ class KnowledgeBase:
         _LOCKS.add(self._lock)
         self._updating = Lock()  # held, with the other one, while this thread records an event
         self.store = None if store is None else Store(store, model, keep)
-        self._serials = Serials.of(model) if self.store is None else self.store.serials
         self._network = network = Network(model)
         self._state = State(network, keep)
         self._records = Records()
         self._event: Event | None = None  # recorded, and not applied completely
-        self._amendment: facts.Amended | None = None
+        self._amendment: elements.Amended | None = None
         self._revision = 0
         self._changed_by: dict[Node, int] = {}  # the last event that changed its status
         self._feasibility: int | None = None  # the last event that changed an action's feasibility
@@ -718,7 +717,7 @@ class KnowledgeBase:
             raise InvalidValue(f"{verb} cannot be replayed with {arguments!r}: {error}") from None
 
     def _amend(self, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
-        amend(self.model, self._serials, how, written)
+        self.model.amend(how, written)
 
     _REPLAYABLE["amend"] = _amend
 
@@ -906,10 +905,10 @@ class KnowledgeBase:
 
     # ---------------------------------------------------------------- the model
 
-    def _begin(self, stated: Sequence[facts.Fact], now: float) -> None:
+    def _begin(self, stated: Sequence[elements.Fact], now: float) -> None:
         """Begin with what the model states."""
         state = self._state
-        measured = [fact for fact in stated if isinstance(fact, facts.MeasurementFact)]
+        measured = [fact for fact in stated if isinstance(fact, elements.MeasurementFact)]
         measured.sort(key=lambda fact: (fact.latest, now if fact.time is None else fact.time))
         for number, measurement in enumerate(measured, start=-len(measured)):
             node = self._network.attributes[measurement.attribute]
@@ -925,24 +924,24 @@ class KnowledgeBase:
         self._revision = 1
 
     def _events_of(
-        self, fact: facts.Fact, number: int, now: float
+        self, fact: elements.Fact, number: int, now: float
     ) -> list[tuple[str, tuple[Any, ...]]]:
         """Return what a fact of the model says as verbs with arguments; records are added."""
         match fact:
-            case facts.StatusFact(element, status):
+            case elements.StatusFact(element, status):
                 return [("assert_status", (self._network.find(element).ref, status, "", None))]
-            case facts.RequiredFact(element):
+            case elements.RequiredFact(element):
                 return [("assert_required", (self._network.find(element).ref, True))]
-            case facts.SelectedFact(element):
+            case elements.SelectedFact(element):
                 return [("assert_selected", (self._network.find(element).ref, True, ""))]
-            case facts.ActiveFact(component):
+            case elements.ActiveFact(component):
                 return [("component_active", (component, True, ""))]
-            case facts.MeasurementFact():
+            case elements.MeasurementFact():
                 return []
         self._records.begin(fact, -number, now)
         return [("request_action", (name, None)) for name in self._records.required]
 
-    def _record_amendment(self, change: facts.Amended) -> None:
+    def _record_amendment(self, change: elements.Amended) -> None:
         """Record a change of the model, unless it is recorded already."""
         with self._lock:
             if self._updating.locked():
@@ -953,7 +952,7 @@ class KnowledgeBase:
                     change.put()  # no fact is recorded meanwhile: each is of one model
                     self._follow(change)
 
-    def _follow(self, change: facts.Amended) -> None:
+    def _follow(self, change: elements.Amended) -> None:
         for element in change.elements if change.how == "removed" else ():
             if isinstance(element, Action) and element.name in self._records.required:
                 reason = "it is no longer in the model"
@@ -964,9 +963,8 @@ class KnowledgeBase:
             element.name if isinstance(element, Element) else str(element)
             for element in named or change.elements
         ]
-        written = tuple(amendment(change.how, change.elements, self._serials))
         words = f"{', '.join(names)} {change.how} in the model"
-        self._record("amend", written, words=words)
+        self._record("amend", (change.how, change.written), words=words)
 
     def _renew(self) -> None:
         """Follow the model as it is now; it can be repeated."""

@@ -23,13 +23,14 @@ from types import MappingProxyType
 from typing import Any, Final, Protocol, Self, TypedDict, TypeVar, Unpack, get_args
 from weakref import ref
 
-from kb import facts
+from kb import elements
 from kb.checks import Finding, check_model
 from kb.elements import (
     CHECKS,
     KINDS,
     REFERENCES,
     Action,
+    Amended,
     Attribute,
     AttributeKind,
     ByName,
@@ -44,11 +45,16 @@ from kb.elements import (
     Estimation,
     EstimationKind,
     Expression,
+    Fact,
     Function,
     FunctionDesign,
+    Owner,
     Rate,
+    RequiredFact,
     Restorable,
+    SelectedFact,
     StalePolicy,
+    StatusFact,
     called,
     choice,
     finite_number,
@@ -61,22 +67,16 @@ from kb.elements import (
 )
 from kb.elements import table as html_table
 from kb.exceptions import DuplicateName, ModelError, UnknownName
-from kb.facts import (
-    Amended,
-    Contents,
-    Fact,
-    MeasurementFact,
-    PlanFact,
-    RequiredFact,
-    SelectedFact,
-    StatusFact,
-)
 from kb.files import SUFFIXES, ModelFileError, write_text
 from kb.records import check_result
 
 ElementT = TypeVar("ElementT", bound=Element)
 
 _NAMED: Final = (Action, Function, Component, FunctionDesign, Configuration, Attribute)
+
+
+_MANY: Final = ("functions", "components", "activate", "deactivate", "parameters")
+"""The fields that name several elements."""
 
 
 class Measured(TypedDict, total=False):
@@ -307,13 +307,11 @@ class Model:
         return estimation
 
     def add_fact(self, fact: Fact) -> None:
-        """Add a fact that holds from the start; see `kb.facts`.
+        """Add a fact that holds from the start; see `kb.elements`.
 
         Knowledge bases that exist already do not get it.
         """
-        if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
-            self._own("what a fact is about", fact.element, *_NAMED, Constraint, Estimation)
-        self._facts.append(_checked_fact(self, fact))
+        self._facts.append(self._checked(fact))
 
     def state(self, cls: type, values: Mapping[str, Any]) -> Changeable | None:
         """Declare an element, constraint, estimation or fact of a class by its fields."""
@@ -380,9 +378,8 @@ class Model:
 
         `from_plain` reads it back.
         """
-        positions = Serials.of(self)
-        elements = (each for table in self.tables.values() for each in table.values())
-        rows = [_row(each, positions) for each in (*elements, *self.facts)]
+        elements = (element for table in self.tables.values() for element in table.values())
+        rows = [_row(self, described) for described in (*elements, *self.facts)]
         return [["model", {"name": self.name}], *rows]
 
     @classmethod
@@ -436,7 +433,12 @@ class Model:
                 allowed = ", ".join(checks) or "nothing"
                 raise ModelError(f"{field!r} of {kind} {name!r} cannot change; what can: {allowed}")
         values = {field: checks[field](field, name, value) for field, value in fields.items()}
-        self._amend("changed", [changed], partial(_set, changed, values))
+        self._amend(
+            "changed",
+            [changed],
+            partial(_set, changed, values),
+            lambda: [_reference(self, changed), _plain(self, values)],
+        )
 
     def remove(self, element: Changeable | str) -> None:
         """Remove an element with its constraints and the estimations that it causes.
@@ -471,7 +473,19 @@ class Model:
                 self._tables[type(one)].pop(_key(one), None)
             self._facts = facts
 
-        self._amend("removed", removed, put)
+        self._amend("removed", removed, put, lambda: _reference(self, unwanted))
+
+    def amend(self, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
+        """Change the model as an equal one was changed before; see `Amended`."""
+        if how == "removed":
+            self.remove(_referred(self, written))
+        elif how == "changed":
+            reference, values = written
+            self.change(_referred(self, reference), **values)
+        else:
+            with self.at_once():
+                for row in written:
+                    _declare(self, *row)
 
     def settle(self) -> None:
         """Complete a change that was interrupted, unless another thread is just making it."""
@@ -520,10 +534,44 @@ class Model:
         if field not in REFERENCES:
             raise UnknownName(f"field of {KINDS[cls]}", field, CHECKS[cls])
         target = REFERENCES[field]
-        if field not in ("functions", "components"):
+        if field not in _MANY:
             return self._own(KINDS[target], value, target).name
         items = listed(f"the {field} of {name!r}", value)
         return tuple(dict.fromkeys(self._own(KINDS[target], item, target).name for item in items))
+
+    def _checked(self, fact: object) -> Fact:
+        """Return a fact, after checking that its elements and values are allowed."""
+        if not isinstance(fact, Fact):
+            raise ModelError(f"a fact is one of those in kb.elements, not {fact!r}")
+        kind = elements.ROSA[type(fact)]
+        values: dict[str, Any] = {}
+        for field in fields(fact):
+            name = field.name
+            value = getattr(fact, name)
+            if name == "element":
+                value = self._own(f"what this {kind} is about", value, *_ABOUT[type(fact)])
+            elif name == "status":
+                value = status_of(KINDS[type(values["element"])], value)
+            elif name in REFERENCES:
+                value = self._referred(type(fact), kind, name, value)
+            elif name == "latest":
+                value = flag(f"latest of a {kind}", value)
+            elif name == "pid":
+                value = whole("a process number", value, 0)
+            elif name == "value":
+                value = self.attributes[values["attribute"]].checked(value)
+            elif name == "result" and value is not None:
+                check_result(value)
+            elif name == "preference" and value is not None:
+                if not isinstance(value, Mapping):
+                    what = "a preference is given as weights by name of attribute"
+                    raise ModelError(f"{what}, not as {value!r}")
+                weights = {self.attributes[key].name: finite_number(value[key]) for key in value}
+                value = MappingProxyType(weights) if weights else None
+            elif value is not None:
+                value = finite_number(value)
+            values[name] = value
+        return replace(fact, **values)
 
     def _own(self, what: str, given: object, *classes: type) -> Any:  # noqa: ANN401  # of the classes
         """Return an element of this model, given by itself or by a name that only one has."""
@@ -576,7 +624,12 @@ class Model:
 
     def _declare(self, *added: Changeable) -> None:
         if self._batch is None and (self._observers or len(added) > 1):
-            self._amend("declared", added, partial(self._enter, added))
+            self._amend(
+                "declared",
+                added,
+                partial(self._enter, added),
+                lambda: [_row(self, element) for element in added],
+            )
             return
         if self._batch is not None:
             self._batch.extend(added)
@@ -586,14 +639,21 @@ class Model:
         for one in added:
             self._tables[type(one)][_key(one)] = one
 
-    def _amend(self, how: str, elements: Sequence[Changeable], put: Callable[[], None]) -> None:
+    def _amend(
+        self,
+        how: str,
+        elements: Sequence[Changeable],
+        put: Callable[[], None],
+        write: Callable[[], Any],
+    ) -> None:
         """Make a change; once it is `pending`, it will be completed, for all observers too."""
         self.settle()
         observers = self._watching()
         for observer in observers:
             observer.prepare()
         with self._changing:
-            self.pending = Amended(how, tuple(elements), put)
+            written = write() if observers else None
+            self.pending = Amended(how, tuple(elements), put, written)
             self.settle()
         for observer in observers:
             observer.heard()
@@ -626,7 +686,7 @@ def _suffix(file: Path) -> str:
     return suffix
 
 
-def _users_of(model: Contents, element: Element) -> list[str]:
+def _users_of(model: Owner, element: Element) -> list[str]:
     """Return what needs an element, in words."""
     named = [field for field, cls in REFERENCES.items() if isinstance(element, cls)]
     users = []
@@ -654,118 +714,65 @@ def _described(element: Changeable) -> str:
     return f"an estimation of {element.attribute!r}"
 
 
-_ABOUT: Final = {
-    StatusFact: (tuple(KINDS), "a status"),
-    RequiredFact: ((Action, Function, Component), "required"),
-    SelectedFact: ((FunctionDesign, Configuration), "selected"),
+_ABOUT: Final[Mapping[type, tuple[type, ...]]] = {
+    StatusFact: (*_NAMED, Constraint),
+    RequiredFact: (Action, Function, Component),
+    SelectedFact: (FunctionDesign, Configuration),
 }
 """What each fact about an element can be about."""
 
 
-def _checked_fact(model: Contents, fact: object) -> Fact:
-    """Return a fact, after checking that its elements and values are allowed."""
-    if not isinstance(fact, Fact):
-        raise ModelError(f"a fact is one of those in kb.facts, not {fact!r}")
-    if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
-        classes, what = _ABOUT[type(fact)]
-        if not isinstance(fact.element, classes):
-            kind = KINDS[type(fact.element)]
-            raise ModelError(f"{kind} cannot be stated to be {what}: {fact.element!r}")
-        if isinstance(fact, StatusFact):
-            return replace(fact, status=status_of(KINDS[type(fact.element)], fact.status))
-        return fact
-    for cls, name in _named_by(fact):
-        if not isinstance(name, str) or name not in model.tables[cls]:
-            raise UnknownName(KINDS[cls], name, model.tables[cls])
-    checked: dict[str, Any] = {}
-    for field in fields(fact):
-        value = getattr(fact, field.name)
-        if field.name in ("time", "start", "end") and value is not None:
-            checked[field.name] = finite_number(value)
-        elif field.name == "result" and value is not None:
-            check_result(value)
-        elif field.name == "pid":
-            checked["pid"] = whole("a process number", value, 0)
-        elif field.name == "latest":
-            flag("latest of a measurement", value)
-        elif field.name == "preference" and value is not None:
-            weights = {name: finite_number(weight) for name, weight in value.items()}
-            checked["preference"] = MappingProxyType(weights) if weights else None
-        elif isinstance(value, tuple | list):
-            checked[field.name] = tuple(dict.fromkeys(value))
-        elif field.name == "value" and isinstance(fact, MeasurementFact):
-            checked["value"] = model.attributes[fact.attribute].checked(value)
-    return replace(fact, **checked)
-
-
-def _named_by(fact: Fact) -> Iterator[tuple[type[Element], str]]:
-    """Yield the class and name of each element that a fact refers to by name."""
-    for field in fields(fact):
-        value = getattr(fact, field.name)
-        if field.name == "preference" and value is not None:
-            if not isinstance(value, Mapping):
-                what = "a preference is given as weights by name of attribute"
-                raise ModelError(f"{what}, not as {value!r}")
-            yield from ((Attribute, name) for name in value)
-        elif field.name in REFERENCES:
-            names = listed(field.name, value) if isinstance(fact, PlanFact) else (value,)
-            yield from ((REFERENCES[field.name], name) for name in names)
-
-
 def _concerns(fact: Fact, removed: Collection[Changeable]) -> bool:
-    if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
-        return fact.element in removed
-    gone = {(type(element), called(element)) for element in removed}
-    return any(named in gone for named in _named_by(fact))
+    """Return whether a fact is about an element that is removed."""
+    for field in fields(fact):
+        value = getattr(fact, field.name)
+        names = value if isinstance(value, tuple | Mapping) else (value,)
+        is_preference = field.name == "preference"
+        cls: Any = Attribute if is_preference else REFERENCES.get(field.name, ())
+        for element in removed:
+            if element is value or (isinstance(element, cls) and element.name in names):
+                return True
+    return False
 
 
 # ---------------------------------------------------------------- plain values
 
-_CLASSES: Final = {words: cls for cls, words in facts.ROSA.items()}
+_CLASSES: Final = {words: cls for cls, words in elements.ROSA.items()}
 
 
-class Serials(dict[Changeable, int]):
-    """Numbers of the elements without a name; one stays the same when others are removed."""
-
-    @classmethod
-    def of(cls, model: Contents) -> Self:
-        """Number the constraints of a model, and its estimations, from 0."""
-        tables: tuple[tuple[Changeable, ...], ...] = (model.constraints, model.estimations)
-        return cls((each, number) for table in tables for number, each in enumerate(table))
-
-    def __missing__(self, element: Changeable) -> int:
-        alike = [number for each, number in self.items() if type(each) is type(element)]
-        self[element] = number = max(alike, default=-1) + 1
-        return number
+def _reference(model: Owner, element: Changeable) -> list[Any]:
+    """Return the class of an element, and its name or its position among those without."""
+    if isinstance(element, Element):
+        return [elements.ROSA[type(element)], element.name]
+    return [elements.ROSA[type(element)], list(model.tables[type(element)]).index(element)]
 
 
-def _reference(element: Changeable, serials: Serials) -> list[Any]:
-    name = element.name if isinstance(element, Element) else serials[element]
-    return [facts.ROSA[type(element)], name]
+def _plain(model: Owner, value: Any) -> Any:  # noqa: ANN401  # of any field
+    """Return the value of a field as JSON can hold it."""
+    if isinstance(value, Changeable):
+        return _reference(model, value)
+    if isinstance(value, tuple | list):
+        return [_plain(model, item) for item in value]
+    if isinstance(value, Mapping):
+        return {key: _plain(model, item) for key, item in value.items()}
+    return value
 
 
-def _row(described: Any, serials: Serials) -> list[Any]:  # noqa: ANN401  # an element or a fact
+def _row(model: Owner, described: Any) -> list[Any]:  # noqa: ANN401  # an element or a fact
     """Return what something is and its fields that have not their defaults, as plain values."""
-
-    def plain(value: Any) -> Any:  # noqa: ANN401  # of any field
-        if isinstance(value, Changeable):
-            return _reference(value, serials)
-        if isinstance(value, tuple | list):
-            return [plain(each) for each in value]
-        return dict(value) if isinstance(value, Mapping) else value
-
     values = {}
     for field in fields(described):
         value = getattr(described, field.name)
         if field.name != "model" and value != field.default:
-            values[field.name] = plain(value)
-    return [facts.ROSA[type(described)], values]
+            values[field.name] = _plain(model, value)
+    return [elements.ROSA[type(described)], values]
 
 
 def _referred(model: Model, reference: Sequence[Any]) -> Any:  # noqa: ANN401  # an element
-    """Return the element of a reference whose constraints are numbered by their places."""
+    """Return the element of a reference."""
     words, name = reference
-    return model.constraints[name] if words == "constraint" else model.tables[_CLASSES[words]][name]
+    table = model.tables[_CLASSES[words]]
+    return list(table.values())[name] if isinstance(name, int) else table[name]
 
 
 def _declare(model: Model, words: str, plain: Mapping[str, Any]) -> Changeable | None:
@@ -776,63 +783,6 @@ def _declare(model: Model, words: str, plain: Mapping[str, Any]) -> Changeable |
     for name in {"causer", "element"} & values.keys():
         values[name] = _referred(model, values[name])
     return model.state(_CLASSES[words], values)
-
-
-Amendment = Sequence[Any]
-"""How elements were amended, and which: rows of what was declared or changed, or a reference."""
-
-
-def amendment(how: str, changed: Sequence[Changeable], serials: Serials) -> Amendment:
-    if how == "removed":
-        return how, _reference(changed[0], serials)
-    return how, [[_reference(each, serials), *_row(each, serials)] for each in changed]
-
-
-def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # noqa: ANN401  # as amendment writes it
-    """Change a model as it was changed before; see `Amendment`."""
-    unnamed = {(facts.ROSA[type(each)], number): each for each, number in serials.items()}
-
-    def element_of(words: str, name: Any) -> Any:  # noqa: ANN401  # a name or a number
-        cls = _CLASSES[words]
-        return unnamed[words, name] if cls in (Constraint, Estimation) else model.tables[cls][name]
-
-    if how == "removed":
-        model.remove(element_of(*written))
-    elif how == "declared":
-        with model.at_once():
-            declared = [(reference, _declare(model, *row)) for reference, *row in written]
-        for (_, name), element in declared:
-            if isinstance(element, Constraint | Estimation):
-                serials[element] = name
-    else:
-        for reference, _, values in written:
-            element = element_of(*reference)
-            new = {
-                field.name: values.get(field.name, field.default)
-                for field in fields(element)
-                if (check := CHECKS[type(element)].get(field.name)) and check.can_change
-            }
-            model.change(element, **new)
-
-
-def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[Model, Serials]:
-    """Return the model of a declaration and later amendments, and its serials."""
-    then = Model.from_plain(declared)
-    numbers = Serials.of(then)
-    for one in amendments:
-        amend(then, numbers, *one)
-    return then, numbers
-
-
-def amended_alike(then: Model, numbers: Serials, model: Model) -> Serials | None:
-    """Return the numbers of a model's elements for those of an equal model.
-
-    None if the models differ.
-    """
-    if then != model:
-        return None
-    pairs = zip(Serials.of(then), Serials.of(model), strict=True)
-    return Serials((now, numbers[before]) for before, now in pairs)
 
 
 def differences(then: Model, now: Model) -> list[str]:

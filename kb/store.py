@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError
-from kb.model import Model, Serials, amend, amended_alike, differences, rebuilt
+from kb.model import Model, differences
 from kb.records import (
     Log,
     ReconfigurationPlan,
@@ -60,7 +60,6 @@ class Store:
         saved: number of the last event that is certainly on disk.
         error: why nothing is saved now; None while there is no error.
         left: actions that an earlier program left required; a task layer resumes or cancels them.
-        serials: the numbers of the model's elements without a name.
 
     Raises:
         InvalidValue: the path is not a path.
@@ -100,27 +99,22 @@ class Store:
         ((last,),) = connection.execute("SELECT max(number) FROM events")
         self.is_new = last is None
         self.saved: int = last or 0
-        self.serials = self._matched(model, json.loads(about["model"]))
+        self._amend(model, json.loads(about["model"]))
 
-    def _matched(self, model: Model, declared: Any) -> Serials:  # noqa: ANN401  # what JSON holds
-        """Amend a model as it is in the file; return the numbers of its elements without a name."""
+    def _amend(self, model: Model, declared: Any) -> None:  # noqa: ANN401  # what JSON holds
+        """Amend a model as it was amended, unless it is so already."""
+        is_declared = declared == json.loads(json.dumps(model.plain()))
+        then = model if is_declared else Model.from_plain(declared)
         rows = self._connection.execute(
             "SELECT data FROM events WHERE verb = 'amend' ORDER BY number"
         )
-        amendments = [json.loads(data)["arguments"] for (data,) in rows]
-        if declared == json.loads(json.dumps(model.plain())):
-            serials = Serials.of(model)
-            for amendment in amendments:
-                amend(model, serials, *amendment)
-            return serials
-        then, numbers = rebuilt(declared, amendments)
-        alike = amended_alike(then, numbers, model)
-        if alike is not None:
-            return alike
-        raise StoreError(
-            f"{self.path}: the store is of another model: {'; '.join(differences(then, model))}. "
-            "Give that model, or name another file"
-        )
+        for (data,) in rows.fetchall():
+            then.amend(*json.loads(data)["arguments"])
+        if then != model:
+            raise StoreError(
+                f"{self.path}: the store is of another model: "
+                f"{'; '.join(differences(then, model))}. Give that model, or name another file"
+            )
 
     def restored(self) -> tuple[dict[str, Any] | None, list[Event]]:
         """Return the last snapshot, and the events after it."""

@@ -27,7 +27,9 @@ def campaign(
     table: Annotated[
         bool, Option("--paper-table", help="The table of the ROSA paper: 100 runs each.")
     ] = False,
-    runs: Annotated[int | None, Option(help="How many of each, whatever the file says.")] = None,
+    runs: Annotated[
+        int | None, Option(min=1, help="How many of each, whatever the file says.")
+    ] = None,
     workers: Annotated[
         int | None, Option(min=1, help="Processes on this machine; default: all cores.")
     ] = None,

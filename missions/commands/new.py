@@ -67,7 +67,8 @@ def new(
 
 def filled(text: str, name: str, parts: set[str]) -> str:
     """Put the name into a template, and drop each block `#if PART` ... `#fi` of other parts."""
-    lines, kept = [], [True]
+    lines = []
+    kept = [True]
     for line in text.splitlines(keepends=True):
         if line.startswith("#if "):
             *negated, part = line.split()[1:]

@@ -69,11 +69,13 @@ def plan(
     outputs = open_files({"json": json, "svg": svg})
     if certificate:
         proven = certified(question, timeout, failures)
-        lines, is_solved = certificate_lines(proven), proven.entries[()].outcome.is_solved
+        lines = certificate_lines(proven)
+        is_solved = proven.entries[()].outcome.is_solved
         texts = {"json": as_json(certificate_as_data(proven))}
     else:
         reply = answer(question, timeout)
-        lines, is_solved = lines_of(reply), reply.result.outcome.is_solved
+        lines = lines_of(reply)
+        is_solved = reply.result.outcome.is_solved
         texts = {"json": as_json(as_data(reply.result))}
         if is_solved and svg:
             title = f"plan of {question.domain.name}"

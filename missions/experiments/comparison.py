@@ -1,8 +1,8 @@
-"""The runs of a campaign in groups to compare, the published figures, and the statistics of samples."""
+"""The runs of a campaign in groups, the published figures, and statistics."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import floor
+from math import floor, sqrt
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -19,7 +19,8 @@ INPUT: Final = "input_from_paper_"
 
 
 Published = dict[str, tuple[float, ...]]
-"""Of a row of the paper's table: by figure the mean and standard deviation, by uncertainty the mean reaction [s]."""
+"""Of a row of the paper's table: by figure the mean and standard deviation, by uncertainty the mean
+reaction [s]."""
 
 
 def _row(
@@ -42,7 +43,10 @@ PAPER: Final = {
 
 @dataclass
 class Group:
-    """The runs of one manager that did not crash; `task` is the task layer of ours, None for other managers."""
+    """The runs of one manager that did not crash.
+
+    `task` is the task layer of ours, None for other managers.
+    """
 
     mission: str
     manager: str
@@ -134,7 +138,7 @@ def comparisons(results: Results) -> list[Comparison]:
 
 
 class Interval(NamedTuple):
-    """An estimate from a sample, the ends of its 95 % confidence interval, and p of the test that it is 0."""
+    """An estimate, the ends of its 95 % confidence interval, and p of the test that it is 0."""
 
     estimate: float
     low: float
@@ -146,15 +150,19 @@ class Interval(NamedTuple):
 
 
 def mean_of(values: Values) -> Interval:
-    """Return the mean of at least two values with Student's interval; of differences, it is the paired test."""
-    from scipy.stats import ttest_1samp
+    """Return the mean of at least two values with Student's interval.
+
+    Of differences, it is the paired test.
+    """
+    from scipy.stats import t
 
     mean = float(np.mean(values))
-    if np.ptp(values) == 0:
+    error = float(np.std(values, ddof=1)) / sqrt(len(values))
+    if error == 0:
         return Interval(mean, mean, mean, float(mean == 0))
-    result = ttest_1samp(values, 0.0)
-    ends = result.confidence_interval()
-    return Interval(mean, float(ends.low), float(ends.high), float(result.pvalue))
+    freedom = len(values) - 1
+    low, high = t.interval(0.95, freedom, mean, error)
+    return Interval(mean, float(low), float(high), float(2 * t.sf(abs(mean / error), freedom)))
 
 
 def holm(ps: Sequence[float]) -> list[float]:

@@ -1,4 +1,4 @@
-"""The report on a campaign: our figures beside the published ones, tests, distributions and reaction times."""
+"""The report on a campaign: our figures beside the published ones, and tests."""
 
 import base64
 import html
@@ -15,8 +15,8 @@ from missions.baselines import OURS
 from missions.engine.mission import MissionError
 from missions.experiments.comparison import (
     SEARCH,
-    Array,
     Comparison,
+    Values,
     comparisons,
     holm,
     mean_of,
@@ -53,8 +53,9 @@ LEAST_RUNS: Final = 5
 """Fewer runs have no interval and are not compared: it would say nothing."""
 METHOD: Final = (
     "Intervals: 95 %, Student's.",
-    "Differences: of runs with the same seed, with the interval and p of Student's paired test; p is corrected by "
-    f"Holm's method for all tests of a table. Fewer than {LEAST_RUNS} runs are not compared.",
+    "Differences: of runs with the same seed, with the interval and p of Student's paired test; "
+    "p is corrected by Holm's method for all tests of a table. "
+    f"Fewer than {LEAST_RUNS} runs are not compared.",
     "A search that never succeeds counts as long as the mission, as in SUAVE.",
     "Published: the table of the ROSA paper, 100 runs each.",
 )
@@ -100,7 +101,8 @@ class Document:
             data = f"data:image/svg+xml;base64,{base64.b64encode(picture).decode()}"
             body = body.replace(f'src="{name}"', f'src="{data}"')
         head = (
-            '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+            '<meta charset="utf-8">'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">'
             f"<title>{html.escape(self._title)}</title><style>{CSS}</style>"
         )
         page = f'<html lang="en"><head>{head}</head>\n<body>\n{body}</body></html>'
@@ -108,7 +110,7 @@ class Document:
 
 
 def write_report(results: Results, folder: Path, *, figures: Sequence[str] = ()) -> list[Path]:
-    """Write the report on a campaign as report.md and report.html with their pictures, and return the files.
+    """Write the report as report.md and report.html with pictures; return the files.
 
     Managers are compared by `figures`; by default the published ones, or else the first two.
 
@@ -119,16 +121,14 @@ def write_report(results: Results, folder: Path, *, figures: Sequence[str] = ())
     crashed = results.crashed
     name = results.campaign.name
     if not parts:
-        ended = f"all of its {len(crashed)} runs crashed" if crashed else "none of its runs is done"
-        raise MissionError(f"there is nothing to report of {name}: {ended}")
+        raise MissionError(f"there is nothing to report of {name}: no run is done without a crash")
     known = dict.fromkeys(figure for part in parts for figure in part.figures)
     for figure in figures:
         if figure not in known:
             raise MissionError(f"no run has a figure {figure!r}; there are {', '.join(known)}")
     document = Document(f"Campaign {name}")
-    versions = ", ".join(f"{name} {version}" for name, version in results.provenance.items())
-    count = f"{len(results.outcomes)} of {results.campaign.size} runs are done"
-    document.parts.append(f"{count}, {len(crashed)} of them crashed. Made by {versions}.")
+    done = f"{len(results.outcomes)} of {results.campaign.size} runs are done"
+    document.parts.append(f"{done}, {len(crashed)} of them crashed.")
     for comparison in parts:
         document.parts.append(f"## {comparison.title}")
         _add_comparison(document, comparison, figures)
@@ -219,7 +219,7 @@ def _add_reactions(document: Document, comparison: Comparison) -> None:
 def _add_differences(
     document: Document, comparison: Comparison, headlines: Mapping[str, str]
 ) -> None:
-    """Compare ours with each other manager, or, without ours, all pairs, by runs with the same seed."""
+    """Compare ours with each other manager, or else all pairs, by runs with one seed."""
     pairs = [(later, earlier) for earlier, later in combinations(comparison.groups, 2)]
     pairs = [pair for pair in pairs if OURS in (pair[0].manager, pair[1].manager)] or pairs
     rows = []
@@ -240,7 +240,7 @@ def _add_differences(
         document.table(["figure: one - other", "pairs", "mean [95 %]", "p, corrected"], rows)
 
 
-def _mean(values: Sequence[float] | Array, spec: str = ".2f") -> str:
+def _mean(values: Values, spec: str = ".2f") -> str:
     if not len(values):
         return NONE
     return format(mean_of(values) if len(values) >= LEAST_RUNS else np.mean(values), spec)

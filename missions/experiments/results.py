@@ -1,4 +1,4 @@
-"""The folder of a campaign: a file with a line for each run, written when it is done, and the tables of runs."""
+"""The folder of a campaign: a line for each run that is done, and the table of runs."""
 
 import csv
 import fcntl
@@ -55,7 +55,10 @@ class Outcome:
 
 @cache
 def provenance() -> Mapping[str, str]:
-    """Return what results depend on besides the name of the run: versions, and a fingerprint of our code."""
+    """Return what results depend on besides the name of the run.
+
+    Versions, and a fingerprint of our code.
+    """
     digest = hashlib.sha256()
     root = Path(__file__).parents[2]
     for package in PACKAGES:
@@ -121,7 +124,13 @@ class Results:
 
     def write_tables(self, folder: Path) -> list[Path]:
         """Write the table of runs as CSV and as JSON, and return the files."""
-        rows = [_row(record) for record in self.records]
+        rows = []
+        for record in self.records:
+            figures = {
+                name: record[name] for name in record if name not in ("reactions", "settings")
+            }
+            settings = record["settings"].items()
+            rows.append(figures | {f"set_{name}": value for name, value in settings})
         columns = dict.fromkeys(name for row in rows for name in row) or {"run": None}
         text = StringIO()
         ordered = sorted(columns, key=lambda name: name.startswith("set_"))
@@ -133,14 +142,6 @@ class Results:
         for name, content in tables.items():
             OutputFile(folder / name).finish(content)
         return [folder / name for name in tables]
-
-
-def _row(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the figures of a run; its settings have the prefix "set_"."""
-    figures = {
-        name: value for name, value in record.items() if name not in ("reactions", "settings")
-    }
-    return figures | {f"set_{name}": value for name, value in record["settings"].items()}
 
 
 class Store:
@@ -211,7 +212,7 @@ def _begin(folder: Path, campaign: Campaign) -> None:
 
 
 def _check_same(folder: Path, campaign: Campaign | None) -> None:
-    """Raise MissionError if a folder holds another campaign than the one asked for, or was begun by other versions."""
+    """Raise MissionError if a folder holds another campaign, or other versions began it."""
     results = Results(folder)
     kept = asdict(results.campaign)
     if campaign is None and (own := ", ".join(results.campaign.own_modules)):

@@ -8,35 +8,42 @@ from py_trees.composites import Parallel, Selector, Sequence
 from py_trees.decorators import Decorator
 
 from kb import KnowledgeBase
-from missions.proof.causes import Senses
 from missions.proof.rig import Rig, acting
-from missions.proof.setup import Setup
+from missions.proof.setup import Senses, Setup
 from rosa_bt import HasStatus, IsActionFeasible, RosaAction, do_until_unfeasible
 
-Mend = Callable[[Behaviour], Behaviour | None]
-"""Changes a node; returns what comes in its place, if anything does."""
+Mend = Callable[[Behaviour], Behaviour]
+"""Changes a node; returns it, or what comes in its place."""
 
 
 def mends(setup: Setup) -> Iterator[tuple[str, Setup]]:
     """Yield what could be written instead, in words, with the setup of the mended tree."""
-    rig = Rig(setup)
-    for place, node in enumerate(rig.nodes):
-        for text, mend in _idioms(node, rig.kb):
+    for place, node in enumerate(Rig(setup).nodes):
+        for text, mend in _idioms(node):
 
             def build(
                 kb: KnowledgeBase, senses: Senses, place: int = place, mend: Mend = mend
             ) -> Behaviour:
                 nodes = [*setup.build(kb, senses).iterate()]
-                return _put(nodes, nodes[place], mend(nodes[place]))
+                old = nodes[place]
+                parent = old.parent
+                new = mend(old)
+                new.parent = parent
+                if parent is None:
+                    return new
+                parent.children[parent.children.index(old)] = new
+                if isinstance(parent, Decorator):
+                    parent.decorated = new
+                return nodes[-1]
 
             yield text, replace(setup, build=build)
 
 
-def _idioms(node: Behaviour, kb: KnowledgeBase) -> Iterator[tuple[str, Mend]]:
+def _idioms(node: Behaviour) -> Iterator[tuple[str, Mend]]:
     """Yield the idioms that can be applied to a node."""
     if isinstance(node, RosaAction) and node.even_if_unfeasible:
         yield f"drop even_if_unfeasible=True of {node.name}", _changed(even_if_unfeasible=False)
-    if isinstance(node, HasStatus) and node.element.name in kb.actions:
+    if isinstance(node, HasStatus) and node.element.name in node.kb.actions:
         yield f"write IsActionFeasible for {node.name}", _ask
     if isinstance(node, Selector | Parallel) and len(node.children) == 2:
         parts = [acting(child.iterate()) for child in node.children]
@@ -49,7 +56,11 @@ def _idioms(node: Behaviour, kb: KnowledgeBase) -> Iterator[tuple[str, Mend]]:
 
 
 def _changed(**attributes: bool) -> Mend:
-    return lambda node: vars(node).update(attributes)
+    def mend(node: Behaviour) -> Behaviour:
+        vars(node).update(attributes)
+        return node
+
+    return mend
 
 
 def _ask(node: Behaviour) -> Behaviour:
@@ -58,21 +69,7 @@ def _ask(node: Behaviour) -> Behaviour:
 
 
 def _do_until_unfeasible(node: Behaviour) -> Behaviour:
-    parts = [acting(child.iterate())[0] for child in node.children]
-    for part in parts:
-        part.parent = None
-    return do_until_unfeasible(parts[0], parts[1], name=node.name)
-
-
-def _put(nodes: list[Behaviour], old: Behaviour, new: Behaviour | None) -> Behaviour:
-    """Put a node in the place of another, if there is one, and return the root."""
-    parent = old.parent
-    if new is None:
-        return nodes[-1]
-    if parent is None:
-        return new
-    new.parent = parent
-    parent.children[parent.children.index(old)] = new
-    if isinstance(parent, Decorator):
-        parent.decorated = new
-    return nodes[-1]
+    task, other = (acting(child.iterate())[0] for child in node.children)
+    task.parent = None
+    other.parent = None
+    return do_until_unfeasible(task, other, name=node.name)

@@ -1,14 +1,15 @@
 """What must hold in every situation, and how a situation in which it does not is found."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 from py_trees.behaviour import Behaviour
 from py_trees.composites import Sequence as SequenceNode
 
 from kb.elements import AttributeKind
 from missions.proof.environment import STALE
-from missions.proof.exploration import Exploration, Wrong
+from missions.proof.exploration import Exploration, Round, Wrong
 from missions.proof.rig import Step, acting
 from missions.proof.setup import Predicate
 
@@ -28,17 +29,16 @@ class Finding:
     name: str
     holds: bool | None
     what: str = ""
-    trail: tuple[Step, ...] | None = None
+    trail: Sequence[Step] | None = None
     advice: str = ""
 
 
-@dataclass(frozen=True)
-class Property:
+class Property(NamedTuple):
     """A property of a user, made by `always`, `never`, `eventually` or `leads_to`."""
 
     name: str
-    predicates: tuple[Predicate, ...]
     check: Callable[[Exploration], Wrong | None]
+    predicates: tuple[Predicate, ...]
 
 
 def always(name: str, predicate: Predicate) -> Property:
@@ -52,7 +52,7 @@ def never(name: str, predicate: Predicate) -> Property:
     def check(explored: Exploration) -> Wrong | None:
         return explored.first(explored.holds[predicate], "it is violated then")
 
-    return Property(name, (predicate,), check)
+    return Property(name, check, (predicate,))
 
 
 def eventually(name: str, predicate: Predicate) -> Property:
@@ -68,33 +68,17 @@ def leads_to(name: str, first: Predicate, then: Predicate) -> Property:
         begun = explored.holds[first].intersection(explored.caused())
         return explored.first(begun - good, "it cannot come about any more")
 
-    return Property(name, (first, then), check)
+    return Property(name, check, (first, then))
 
 
 def check(explored: Exploration) -> list[Finding]:
     """Check the properties that every mission must have, then those wanted."""
     findings = []
-    checks: dict[str, Callable[[Exploration], Wrong | None]] = {
-        "nothing is requested while unfeasible for longer than a tick": _unfeasible,
-        "every request is released once, when what does it ends": _unreleased,
-        "actions that exclude each other are not required together": _together,
-        "the goal is reached if all goes well": _unachieved,
-        "the mission ends with its goal only": _ends_without,
-        "wherever the goal can be reached as facts are, the mission is not stuck": _stuck,
-        "it never stands still for good while an action of it is feasible": _dead,
-        "while nothing happens, the mission does not waver": _wavering,
-        "every node of the tree can be reached": _unreached,
-        "every adaptation of the model can occur": _missing,
-        "the manager keeps to the model, and ends its plans": _mismanaged,
-        **{each.name: each.check for each in explored.rig.setup.wanted},
-    }
-    for name, find in checks.items():
-        wrong = find(explored)
-        if wrong is None or (wrong[1] is None and not explored.is_finished):
-            findings.append(Finding(name, True if explored.is_finished else None))
-        else:
-            what, trail = wrong
-            findings.append(Finding(name, False, what, None if trail is None else tuple(trail)))
+    own = {each.name: each.check for each in explored.rig.setup.wanted}
+    for name, find in {**CHECKS, **own}.items():
+        what, trail = find(explored) or ("", None)
+        holds = None if trail is None and not explored.is_finished else not what
+        findings.append(Finding(name, holds, what if holds is False else "", trail))
     return findings
 
 
@@ -111,32 +95,31 @@ def notes(explored: Exploration) -> list[str]:
 
 
 def _unfeasible(explored: Exploration) -> Wrong | None:
-    for number in explored.every:
-        for each in explored.following(number):
-            for action in {*each.late} & {*explored.seen[each.after].unfeasible}:
+    for number, rounds in enumerate(explored.rounds):
+        for each in rounds:
+            for action in sorted({*each.late} & {*explored.seen[each.after].unfeasible}):
                 return f"{action} is still requested", [*explored.path(number), each.step]
     return None
 
 
 def _unreleased(explored: Exploration) -> Wrong | None:
-    for number in explored.every:
-        running = explored.seen[number].running
-        for action in sorted(running ^ {*explored.seen[number].required}):
+    for number, seen in enumerate(explored.seen):
+        for action in sorted(seen.running ^ {*seen.required}):
             what = f"{action} is still requested, and nothing that does it runs"
-            if action in running:
+            if action in seen.running:
                 what = f"{action} is not requested any more, and what does it still runs"
-            return explored.first([number], what)
+            return what, explored.path(number)
     return None
 
 
 def _together(explored: Exploration) -> Wrong | None:
     actions = explored.rig.kb.actions
-    groups = [{actions[name].name for name in group} for group in explored.rig.setup.exclusive]
-    for number in explored.every:
-        for group in groups:
-            both = group.intersection(explored.seen[number].required)
+    for group in explored.rig.setup.exclusive:
+        names = {actions[name].name for name in group}
+        for number, seen in enumerate(explored.seen):
+            both = sorted(names.intersection(seen.required))
             if len(both) > 1:
-                return explored.first([number], f"{' and '.join(sorted(both))} are required")
+                return f"{' and '.join(both)} are required", explored.path(number)
     return None
 
 
@@ -147,15 +130,14 @@ def _unachieved(explored: Exploration) -> Wrong | None:
 def _ends_without(explored: Exploration) -> Wrong | None:
     """Find an end of the mission that is not its goal, by deeds that bring about what succeeds."""
     for number in explored.caused():
-        what = explored.misses(number) if explored.seen[number].has_succeeded else ""
-        if what:
+        if explored.seen[number].has_succeeded and (what := explored.misses(number)):
             return what, explored.path(number)
     return None
 
 
 def _stuck(explored: Exploration) -> Wrong | None:
-    """Find a situation that leads to no end while facts stay, though another of its stage with equal facts does."""
-    ended = {number for number in explored.every if explored.seen[number].is_over}
+    """Find a situation without an end while facts stay, though its stage has an end."""
+    ended = {number for number, seen in enumerate(explored.seen) if seen.is_over}
     good = explored.reaching(ended.union(explored.goals, explored.unexplored), still=True)
     here = [
         (seen.stage, each.deeds, each.facts.failed, each.facts.values)
@@ -163,27 +145,26 @@ def _stuck(explored: Exploration) -> Wrong | None:
     ]
     reaching = explored.reaching(explored.goals, still=True) - explored.goals
     possible = {here[number] for number in reaching}
-    bad = (number for number in explored.every if number not in good and here[number] in possible)
-    return explored.first(bad, "it is not then, but elsewhere in this stage with the same facts")
+    bad = {number for number, each in enumerate(here) if each in possible}
+    return explored.first(
+        bad - good, "it is not then, but elsewhere in this stage with the same facts"
+    )
 
 
 def _dead(explored: Exploration) -> Wrong | None:
-    """Find a situation in which nothing is ever required unless a fact changes that only the robot changes."""
-    alive = set(explored.unexplored)
-    for number in explored.every:
-        if explored.seen[number].required or explored.seen[number].is_over:
-            alive.add(number)
-    alive = explored.reaching(alive, still=True)
-    for number in explored.every:
-        able = sorted(_able(explored, explored.seen[number].feasible))
+    """Find a situation in which nothing is required until the robot itself acts."""
+    active = {n for n, seen in enumerate(explored.seen) if seen.required or seen.is_over}
+    alive = explored.reaching(active.union(explored.unexplored), still=True)
+    for number, seen in enumerate(explored.seen):
+        able = sorted(_able(explored, seen.feasible))
         if number not in alive and able and not _waits(explored, number, alive):
             what = f"nothing is required, though {' and '.join(able)} could be done"
-            return explored.first([number], what)
+            return what, explored.path(number)
     return None
 
 
 def _able(explored: Exploration, feasible: frozenset[str]) -> set[str]:
-    """Return the feasible actions of the tree that are not behind an unfeasible one in a sequence."""
+    """Return the feasible actions that are not behind an unfeasible one in a sequence."""
     doing = explored.rig.doing
     return {node.action for node in doing if feasible.issuperset([node.action, *_before(node)])}
 
@@ -199,7 +180,8 @@ def _before(node: Behaviour) -> Iterator[str]:
 
 def _waits(explored: Exploration, number: int, alive: set[int]) -> bool:
     """Tell whether it goes on when a part recovers or a fact changes that changes by itself."""
-    if {None, STALE}.intersection(explored.situations[number].facts.values):
+    values = dict(explored.situations[number].facts.values).values()
+    if None in values or STALE in values:
         return True
     by_itself = set()
     for name, attribute in explored.rig.kb.model.attributes.items():
@@ -215,24 +197,24 @@ def _waits(explored: Exploration, number: int, alive: set[int]) -> bool:
 
 
 def _wavering(explored: Exploration) -> Wrong | None:
-    """Find a cycle of different requests while all conditions keep their answer and every action keeps running."""
+    """Find a cycle of different requests while no answer changes."""
     letters = explored.rig.letters
     for kept in "FS":
-        onward: dict[int, tuple[Step, int]] = {}
-        for number in explored.every:
-            for each in explored.following(number):
-                usual = [
-                    (name, "R" if "R" in letters[name] else kept) for name, _ in each.step.answers
-                ]
-                if not each.step.changes and [*each.step.answers] == usual:
-                    onward.setdefault(number, (each.step, each.after))
+        onward: dict[int, Round] = {}
+        for number, rounds in enumerate(explored.rounds):
+            for each in rounds:
+                answers = each.step.answers
+                usual = ["R" if "R" in letters[name] else kept for name, _ in answers]
+                if not each.step.changes and [letter for _, letter in answers] == usual:
+                    onward.setdefault(number, each)
         visited: set[int] = set()
         for number in onward:
             trail: dict[int, Step] = {}
             place = number
             while place in onward and place not in visited:
                 visited.add(place)
-                trail[place], place = onward[place]
+                trail[place] = onward[place].step
+                place = onward[place].after
             places = [*trail]
             cycle = places[places.index(place) :] if place in trail else []
             done = {", ".join(explored.seen[each].required) or "nothing" for each in cycle}
@@ -263,3 +245,19 @@ def _missing(explored: Exploration) -> Wrong | None:
 
 def _mismanaged(explored: Exploration) -> Wrong | None:
     return min(explored.faults.items(), key=lambda fault: len(fault[1]), default=None)
+
+
+CHECKS: Final[dict[str, Callable[[Exploration], Wrong | None]]] = {
+    "nothing is requested while unfeasible for longer than a tick": _unfeasible,
+    "every request is released once, when what does it ends": _unreleased,
+    "actions that exclude each other are not required together": _together,
+    "the goal is reached if all goes well": _unachieved,
+    "the mission ends with its goal only": _ends_without,
+    "wherever the goal can be reached as facts are, the mission is not stuck": _stuck,
+    "it never stands still for good while an action of it is feasible": _dead,
+    "while nothing happens, the mission does not waver": _wavering,
+    "every node of the tree can be reached": _unreached,
+    "every adaptation of the model can occur": _missing,
+    "the manager keeps to the model, and ends its plans": _mismanaged,
+}
+"""What every mission must keep, and how a violation is found."""

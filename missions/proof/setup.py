@@ -1,21 +1,121 @@
-"""What is verified: a model, a tree, what may happen, and what must hold."""
+"""What is verified: model, tree, what may happen, causes, and what must hold."""
 
+from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from py_trees.behaviour import Behaviour
+from py_trees.common import Status
 
 from kb import KnowledgeBase, Model, PriorityPlanner
 from kb import Planner as ConfigurationPlanner
-from missions.proof.causes import Causes, Senses
+from missions.engine.mission import Mission, Percepts
+from missions.engine.task_layer import mission_domain
 from missions.testing.scripted import LETTERS
+from rosa_pddl.domain import FEASIBLE, Domain, Schema, names_in, parts_of
 
-if TYPE_CHECKING:
-    from missions.proof.properties import Property
-    from missions.proof.rig import Rig
+Predicates = frozenset[str]
+Predicate = Callable[[Any], bool]
+"""Called with the `Rig` in a situation."""
 
-Predicate = Callable[["Rig"], bool]
+
+class Senses(Percepts):
+    """Percepts of which some hold, and that note which ones are asked for."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.holding: frozenset[str] = frozenset()
+        self.asked: set[str] = set()
+
+    def holds(self, key: str) -> bool:
+        """Return whether a key holds now."""
+        self.asked.add(key)
+        return key in self.holding
+
+
+@dataclass(frozen=True)
+class Causes:
+    """What the actions of a mission bring about.
+
+    Attributes:
+        effects: by action, the predicates that it makes true.
+        enables: by action, the actions that it makes feasible.
+        goal: the predicates of the goal that some action makes true.
+        facts: returns what is sensed, as facts of the PDDL problem.
+    """
+
+    effects: Mapping[str, set[str]] = field(default_factory=dict)
+    enables: Mapping[str, set[str]] = field(default_factory=dict)
+    goal: Predicates = frozenset()
+    facts: Callable[[KnowledgeBase, Percepts], Mapping[str, bool | float]] = lambda kb, percepts: {}
+
+    @property
+    def brought(self) -> Predicates:
+        """All predicates that some action makes true."""
+        return frozenset().union(*self.effects.values())
+
+    def needed(self, leaf: Behaviour, kb: KnowledgeBase, senses: Senses) -> Predicates:
+        """Return the predicates of which one is needed before a condition can succeed.
+
+        Empty if it may succeed before anything is done, or if that is not known.
+        """
+
+        def succeeds(keys: set[str]) -> bool:
+            senses.holding = frozenset(keys)
+            return leaf.update() is Status.SUCCESS
+
+        keys: set[str] = set()
+        is_satisfiable = succeeds(keys)
+        while not senses.asked <= keys:
+            keys |= senses.asked
+            is_satisfiable = succeeds(keys)
+        made = {key: self._predicates(key, kb, senses) for key in keys}
+        is_free = succeeds({key for key in keys if not made[key]})
+        senses.asked, senses.holding = set(), frozenset()
+        return frozenset().union(*made.values()) if is_satisfiable and not is_free else frozenset()
+
+    def _predicates(self, key: str, kb: KnowledgeBase, senses: Senses) -> Predicates:
+        """Return the predicates that a percept makes true and that some action brings about."""
+        senses.holding = frozenset()
+        before = self.facts(kb, senses)
+        senses.holding = frozenset({key})
+        after = self.facts(kb, senses)
+        new = {fact for fact, is_so in after.items() if is_so is True and not before.get(fact)}
+        return frozenset(fact.strip("()").split()[0].lower() for fact in new) & self.brought
+
+
+def causes_of(mission: Mission) -> Causes:
+    """Return what the actions of a mission bring about, as its PDDL says.
+
+    Nothing if it has none.
+    """
+    if mission.domain is None or mission.problem is None:
+        return Causes()
+    domain = mission_domain(mission)
+    effects: defaultdict[str, set[str]] = defaultdict(set)
+    enables: defaultdict[str, set[str]] = defaultdict(set)
+    for schema in domain.schema_of.values():
+        for action in domain.rosa_actions:
+            if domain.may_do(schema, action):
+                for effect in schema.effects:
+                    if effect.kind != "add":
+                        continue
+                    if effect.name == FEASIBLE:
+                        enables[action] |= _objects(domain, schema, effect.terms)
+                    else:
+                        effects[action].add(effect.name.lower())
+    causes = Causes(effects, enables, facts=mission.facts)
+    goal = {name.lower() for name in names_in(domain.goal)}
+    return replace(causes, goal=causes.brought & goal)
+
+
+def _objects(domain: Domain, schema: Schema, terms: tuple[str, ...]) -> set[str]:
+    """Return the actions that a parameter can be, by the facts of the problem."""
+    parts = [part for formula in schema.conditions for part in parts_of(formula)]
+    kinds = [part[1] for part in parts if part[0] == "atom" and part[2] == terms]
+    actions = domain.rosa_actions
+    return {each for each in actions if any(f"({kind} {each})" in domain.facts for kind in kinds)}
 
 
 @dataclass(frozen=True)
@@ -26,7 +126,8 @@ class Leaf:
         answers: letters of "R", "S" and "F"; empty: the leaf works as it is.
         effects: by letter, the attributes that are measured when it returns that, such as
             {"S": {"battery_level": 1.0}}.
-        after: of a condition, the actions or leaves of which one has to be under way before it can succeed.
+        after: of a condition, the actions or leaves of which one has to be under way before it can
+            succeed.
     """
 
     answers: str = "RSF"
@@ -56,8 +157,8 @@ class Setup:
         symmetric: let only the first of several facts that make no difference apart change.
         wanted: further properties; see `always`, `never`, `eventually` and `leads_to`.
         exclusive: groups of actions; at most one of each may be required at a time.
-        goal: holds where the mission has reached its goal; by default what the PDDL file says, or else where the
-            root succeeds, unless what succeeded only makes other actions feasible.
+        goal: holds where the mission has reached its goal; by default what the PDDL file says, or
+            else where the root succeeds, unless what succeeded only makes other actions feasible.
         most: explore about this number of situations at most.
         seconds: explore for about this time at most [s].
     """
@@ -72,7 +173,7 @@ class Setup:
     at_once: int = 1
     failing: Sequence[str] = ()
     symmetric: bool = True
-    wanted: Sequence["Property"] = ()
+    wanted: Sequence[Any] = ()
     exclusive: Sequence[Collection[str]] = ()
     goal: Predicate | None = None
     most: float = 100_000

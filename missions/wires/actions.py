@@ -100,7 +100,8 @@ class RosAction(RosaAction):
 
     def update(self) -> Status:
         """Send the goal, then look how far it is."""
-        goal, now = self._goal, self._node.clock()
+        goal = self._goal
+        now = self._node.clock()
         if goal is None:
             return self._send(now)
         if goal.is_over:
@@ -122,7 +123,8 @@ class RosAction(RosaAction):
 
     def halting(self) -> Status:
         """Return RUNNING until the goal has ended; called after an interruption."""
-        goal, now = self._goal, self._node.clock()
+        goal = self._goal
+        now = self._node.clock()
         if goal is None or goal.is_over:
             self._close()
             return Status.SUCCESS

@@ -158,7 +158,12 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
     }
 
     class Server(MCPServer):
-        async def call_tool(self, name: str, arguments: dict[str, Any], context: Any = None) -> Any:  # noqa: ANN401  # as in its base
+        async def call_tool(
+            self,
+            name: str,
+            arguments: dict[str, Any],
+            context: Any = None,  # noqa: ANN401  # as in its base
+        ) -> Any:  # noqa: ANN401  # as in its base
             """Call a tool, and pass on our errors in words; an unknown argument is one."""
             if name not in tools:
                 raise ToolError(f"there is no tool {name!r:.80}; there are {', '.join(tools)}")

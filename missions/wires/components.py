@@ -324,7 +324,8 @@ class RosComponents:
         yield from self._change(watch, _ACTIVATE if goal == _ACTIVE else _DEACTIVATE, goal)
 
     def _change(self, watch: _Watch, transition: int, goal: int) -> Calls:
-        service, kind = f"{watch.place}/change_state", "lifecycle_msgs/srv/ChangeState"
+        service = f"{watch.place}/change_state"
+        kind = "lifecycle_msgs/srv/ChangeState"
         request = {"transition": {"id": transition, "label": ""}}
         answer = yield self._node.call(service, kind, request, watch.timeout_s)
         if not answer.get("success"):

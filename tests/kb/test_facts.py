@@ -14,7 +14,7 @@ from kb import (
     Status,
     UnknownName,
 )
-from kb.facts import (
+from kb.elements import (
     ActiveFact,
     MeasurementFact,
     PlanFact,
@@ -129,7 +129,7 @@ def test_stated_records_that_ended_are_not_open(model):
         (RequiredActionFact("sleep"), UnknownName, "unknown action 'sleep'"),
         (RequiredActionFact("explore", {"power": 1.0}), UnknownName, "unknown attribute 'power'"),
         (PlanFact(parameters=("night",)), UnknownName, "unknown configuration 'night'"),
-        ("light is on", ModelError, "a fact is one of those in kb.facts"),
+        ("light is on", ModelError, "a fact is one of those in kb.elements"),
     ],
 )
 def test_facts_about_what_is_not_there_are_refused(model, fact, error, words):

@@ -23,8 +23,11 @@ class Outcome(NamedTuple):
 
 def requests_through_cuts(seed, *, cuts):
     """Have a node request and publish while all its connections are cut so many times."""
-    rng, stop = random.Random(seed), threading.Event()
-    arrived, heard, acknowledged = [], [], []
+    rng = random.Random(seed)
+    stop = threading.Event()
+    arrived = []
+    heard = []
+    acknowledged = []
 
     def request():
         number = 0

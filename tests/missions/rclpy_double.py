@@ -43,7 +43,8 @@ class QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.VOLATILE,
     ):
-        self.reliability, self.durability = reliability, durability
+        self.reliability = reliability
+        self.durability = durability
 
     def serves(self, asked):
         """Return whether a subscription with another profile hears a publisher with this one."""
@@ -77,7 +78,9 @@ def create_node(node_name, *, context=None):
 
 class Future:
     def __init__(self):
-        self._is_done, self._result, self._callbacks = False, None, []
+        self._is_done = False
+        self._result = None
+        self._callbacks = []
 
     def result(self):
         return self._result
@@ -91,14 +94,18 @@ class Future:
         self._callbacks.append(callback)
 
     def set_result(self, result):
-        self._is_done, self._result = True, result
+        self._is_done = True
+        self._result = result
         for callback in self._callbacks:
             callback(self)
 
 
 class Publisher:
     def __init__(self, msg_type, topic, qos_profile):
-        self.msg_type, self.topic, self.qos_profile, self.last = msg_type, topic, qos_profile, None
+        self.msg_type = msg_type
+        self.topic = topic
+        self.qos_profile = qos_profile
+        self.last = None
 
     def publish(self, msg):
         assert isinstance(msg, self.msg_type), f"Expected {self.msg_type}, got {type(msg)}"
@@ -113,7 +120,9 @@ class Publisher:
 
 class Client:
     def __init__(self, node, srv_type, srv_name):
-        self.node, self.srv_type, self.srv_name = node, srv_type, srv_name
+        self.node = node
+        self.srv_type = srv_type
+        self.srv_name = srv_name
 
     def _servers(self):
         with _LOCK:
@@ -140,11 +149,15 @@ class Client:
 
 class ActionClient:
     def __init__(self, node, action_type, action_name):
-        self.node, self.type, self.name = node, action_type, action_name
+        self.node = node
+        self.type = action_type
+        self.name = action_name
 
     def send_goal_async(self, goal, feedback_callback=None):
         assert isinstance(goal, self.type.Goal)
-        response, result, todo = Future(), Future(), self.node.todo
+        response = Future()
+        result = Future()
+        todo = self.node.todo
         server = RobotHost.actions.get(self.name)
 
         def show(values):
@@ -170,7 +183,8 @@ class GoalHandle:
         self.get_result_async = lambda: result
 
     def cancel_goal_async(self):
-        answered, is_cancelling = Future(), self.server.cancel(self.key)
+        answered = Future()
+        is_cancelling = self.server.cancel(self.key)
         if is_cancelling is not None:
             goals = [self.key] if is_cancelling else []
             answer = SimpleNamespace(return_code=0, goals_canceling=goals)
@@ -183,7 +197,10 @@ class Node:
 
     def __init__(self):
         self.todo = Queue()
-        self.subscriptions, self.publishers, self.services, self.timers = [], [], [], []
+        self.subscriptions = []
+        self.publishers = []
+        self.services = []
+        self.timers = []
         with _LOCK:
             _NODES.append(self)
 
@@ -232,7 +249,9 @@ class Node:
 class SingleThreadedExecutor:
     def __init__(self, *, context=None):
         assert context.is_open
-        self.context, self.node, self.is_shut = context, None, False
+        self.context = context
+        self.node = None
+        self.is_shut = False
 
     def add_node(self, node):
         self.node = node
@@ -272,7 +291,7 @@ class RobotHost:
         self.node.create_service(self.types.find(kind), service, respond)
 
     def unserve(self, service):
-        self.node.services = [one for one in self.node.services if one.srv_name != service]
+        self.node.services = [s for s in self.node.services if s.srv_name != service]
 
     def advertise(self, topic, kind, *, is_latched=False):
         durability = DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE
@@ -281,15 +300,19 @@ class RobotHost:
         self.node.create_publisher(self.types.find(kind), topic, quality)
 
     def unadvertise(self, topic):
-        self.node.publishers = [one for one in self.node.publishers if one.topic != topic]
+        self.node.publishers = [
+            publisher for publisher in self.node.publishers if publisher.topic != topic
+        ]
 
     def has_hearer(self, topic):
-        return any(one.topic == topic for node in _NODES for one in node.subscriptions)
+        return any(
+            subscription.topic == topic for node in _NODES for subscription in node.subscriptions
+        )
 
     def publish(self, topic, kind, message):
-        if not any(one.topic == topic for one in self.node.publishers):
+        if not any(publisher.topic == topic for publisher in self.node.publishers):
             self.advertise(topic, kind)
-        (publisher,) = [one for one in self.node.publishers if one.topic == topic]
+        (publisher,) = [publisher for publisher in self.node.publishers if publisher.topic == topic]
         publisher.publish(self.types.to_object(kind, message))
 
     def close(self):
@@ -305,7 +328,9 @@ def _with_texts(request):
 
 
 def _publishers(topic):
-    return [one for node in _NODES for one in node.publishers if one.topic == topic]
+    return [
+        publisher for node in _NODES for publisher in node.publishers if publisher.topic == topic
+    ]
 
 
 def _message(kind):
@@ -335,10 +360,12 @@ _EMPTY = {"bool": False, "byte": b"\x00", "float32": 0.0, "float64": 0.0, "strin
 """The values of new messages, whose types are those that the setters take; others are 0."""
 _TYPES = {
     "action_msgs/srv/CancelGoal_Request": "action_msgs/GoalInfo goal_info",
-    "action_msgs/srv/CancelGoal_Response": "int8 return_code\naction_msgs/GoalInfo[] goals_canceling",
+    "action_msgs/srv/CancelGoal_Response": "int8 return_code\n"
+    "action_msgs/GoalInfo[] goals_canceling",
     "nav2_msgs/action/NavigateToPose_Goal": "geometry_msgs/PoseStamped pose\nstring behavior_tree",
     "nav2_msgs/action/NavigateToPose_Result": "uint16 error_code\nstring error_msg",
-    "nav2_msgs/action/NavigateToPose_Feedback": "geometry_msgs/PoseStamped current_pose\nint16 number_of_recoveries\n"
+    "nav2_msgs/action/NavigateToPose_Feedback": "geometry_msgs/PoseStamped current_pose\n"
+    "int16 number_of_recoveries\n"
     "float32 distance_remaining",
 }
 """Types that `rosbags` does not have; of NavigateToPose, the fields that are used."""

@@ -20,9 +20,12 @@ class LifecycleNode:
     """Answers as an rclpy node does; a transition that the state does not allow ends it."""
 
     def __init__(self, host, name):
-        self.host, self.name, self.state = host, name, 1
+        self.host = host
+        self.name = name
+        self.state = 1
         self.parameters, self.transitions, self.refused = {}, [], set()
-        self.is_frozen, self.asked = False, 0
+        self.is_frozen = False
+        self.asked = 0
         self.start()
 
     def start(self):
@@ -35,7 +38,7 @@ class LifecycleNode:
             ("set_parameters_atomically", SET, self.set_parameters),
         ):
             self.host.serve(
-                f"{self.name}/{service}", kind, lambda one, a=answer: self.answer(a, one)
+                f"{self.name}/{service}", kind, lambda request, a=answer: self.answer(a, request)
             )
         self.host.advertise(f"{self.name}/transition_event", EVENT)
 
@@ -80,10 +83,10 @@ class LifecycleNode:
             self.host.publish(f"{self.name}/transition_event", EVENT, states)
 
     def set_parameters(self, request):
-        if any(one["name"] in self.refused for one in request["parameters"]):
+        values = {entry["name"]: entry["value"] for entry in request["parameters"]}
+        if self.refused & values.keys():
             return {"result": {"successful": False, "reason": "gain above 100"}}
-        for one in request["parameters"]:
-            self.parameters[one["name"]] = one["value"]
+        self.parameters |= values
         return {"result": {"successful": True, "reason": ""}}
 
 
@@ -96,8 +99,12 @@ class ActionServer:
     """
 
     def __init__(self, host, name="/navigate_to_pose"):
-        self.host, self.name = host, name
-        self.goals, self.asked, self.received, self._statuses = {}, [], [], {}
+        self.host = host
+        self.name = name
+        self.goals = {}
+        self.asked = []
+        self.received = []
+        self._statuses = {}
         self.rejects = self.ignores_cancels = self.confirms_cancels = self.is_dead = False
         self.is_secret = False  # whether its new goals are on the status topic later only
         self._numbers = count(1)
@@ -152,9 +159,9 @@ class ActionServer:
             return
         entries = [
             {
-                "goal_info": {"goal_id": {"uuid": one}, "stamp": {"sec": 1, "nanosec": 0}},
+                "goal_info": {"goal_id": {"uuid": uuid}, "stamp": {"sec": 1, "nanosec": 0}},
                 "status": status,
             }
-            for one, status in self._statuses.items()
+            for uuid, status in self._statuses.items()
         ]
         self.host.publish(f"{self.name}/_action/status", STATUS, {"status_list": entries})

@@ -68,7 +68,11 @@ class RosbridgeDouble(Host):
     """The graph behind it has services (functions), topics and action servers."""
 
     def __init__(self, port=0):
-        self.services, self.latched, self.actions, self.hearers, self.goals = {}, {}, {}, {}, {}
+        self.services = {}
+        self.latched = {}
+        self.actions = {}
+        self.hearers = {}
+        self.goals = {}
         super().__init__(port)
 
     # ---------------------------------------------------------------- the graph
@@ -104,7 +108,9 @@ class RosbridgeDouble(Host):
     def call(self, service, request):
         """Call a service of a client, as a node of the graph does."""
         (client,) = [client for client in self.clients if service in client.services]
-        number, answered, answer = f"{len(client.waiting)}", threading.Event(), {}
+        number = f"{len(client.waiting)}"
+        answered = threading.Event()
+        answer = {}
         client.waiting[number] = lambda message: (answer.update(message), answered.set())
         client.send(op="call_service", id=number, service=service, args=request)
         assert answered.wait(60.0)
@@ -145,7 +151,8 @@ class RosbridgeDouble(Host):
         client.send(**about, values=answer["values"], result=answer["result"])
 
     def _send_action_goal(self, client, message):
-        action, over = message["action"], threading.Event()
+        action = message["action"]
+        over = threading.Event()
         server = self.actions.get(action)
 
         def end(status, values):
@@ -180,7 +187,8 @@ class Player(Host):
         return next(requests, {"op": ""})
 
     def do(self, client, message):
-        operation, service = message["op"], message.get("service", "")
+        operation = message["op"]
+        service = message.get("service", "")
         if service.endswith("cancel_goal"):  # the client asks for signs of life
             answer = {"values": {"return_code": 2, "goals_canceling": []}, "result": True}
             client.send(op="service_response", service=service, id=message["id"], **answer)

@@ -102,7 +102,8 @@ def test_request_has_to_be_allowed_and_passes_the_gate(kb):
 
 
 def test_hostile_requests_get_no_unfeasible_action_through(kb):
-    rng, name = random.Random(8), "inspect_pipeline"
+    rng = random.Random(8)
+    name = "inspect_pipeline"
     values = [None, 3, [], {}, name, [name], {"name": name}, "", "inspect", MUCH, "';--"]
     before = len(list(kb.log))
     calls = [

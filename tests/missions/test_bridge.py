@@ -47,7 +47,8 @@ def test_diagnostics_of_everybody_are_understood_by_rules(wire, caplog):
         "radar": {"component": "radar", "stale": "failed"},
     }
     with rig(wire, diagnostics=rules) as robot:
-        components, energy = robot.kb.components, robot.kb.attributes["energy"]
+        components = robot.kb.components
+        energy = robot.kb.attributes["energy"]
         diagnose(robot, status("camera: rate", 2, "too low"), status("camera: heat", 0))
         assert components["camera"].status == "failure"
         diagnose(robot, status("camera: rate", 0))
@@ -229,7 +230,8 @@ def test_services_of_the_original_are_served(server):
 
 
 def test_events_are_published_as_the_original_compares_them(server):
-    words, texts = [], []
+    words = []
+    texts = []
     server.host.subscribe("/rosa_kb/events", "", lambda message: words.append(message["data"]))
     server.host.subscribe("/rosa/log", "", lambda message: texts.append(message["msg"]))
     server.explore()

@@ -1,4 +1,4 @@
-"""`rosa check`: a model is judged together with the trees and PDDL files that use it, and nothing is run."""
+"""`rosa check`: a model is judged together with the trees and PDDL files that use it."""
 
 import dataclasses
 import json
@@ -18,7 +18,7 @@ DOMAIN = """
 (define (domain cave) (:requirements :strips :typing)
   (:types task - action place action)
   (:constants look - task here - place)
-  (:predicates (action_feasible ?a - action) (explore_action ?a - action) (lit ?p - place) (shut_action ?p - place))
+  (:predicates (action_feasible ?a - action) (lit ?p - place))
 )
 """
 PROBLEM = """
@@ -84,7 +84,10 @@ def explorer():
 
 @pytest.fixture
 def rosa(capsys, monkeypatch, tmp_path):
-    """Run `rosa check` in an empty folder with a module of trees; returns exit status, output and errors."""
+    """Run `rosa check` in an empty folder with a module of trees.
+
+    Returns exit status, output and errors.
+    """
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "trees", raising=False)
@@ -111,12 +114,15 @@ def test_sound_files_exit_with_0(rosa):
 
 def test_files_are_read_in_order_and_a_later_one_mends_an_earlier_one(rosa, tmp_path):
     (tmp_path / "more.tql").write_text(
-        'match $a isa Action, has action-name "explore"; insert $f isa Function, has function-name "hear";'
+        'match $a isa Action, has action-name "explore"; '
+        'insert $f isa Function, has function-name "hear";'
         "(action: $a, required-function: $f) isa functional-requirement;"
     )
     (tmp_path / "most.tql").write_text(
-        'match $f isa Function, has function-name "hear"; $c isa Component, has component-name "camera"; insert'
-        '(function: $f, required-component: $c) isa function-design, has function-design-name "by ear", has priority 1;'
+        'match $f isa Function, has function-name "hear"; '
+        '$c isa Component, has component-name "camera"; '
+        "insert (function: $f, required-component: $c) isa function-design, "
+        'has function-design-name "by ear", has priority 1;'
     )
     code, out, _ = rosa("explorer.tql", "more.tql")
     assert code == 1
@@ -201,8 +207,8 @@ def test_files_are_judged_with_the_tree_of_a_mission(rosa):
     code, out, _ = rosa("explorer.tql", "--mission", "suave")
     assert code == 1
     assert (
-        "behaviour 'search feasible?' of the tree of suave and 2 more: unknown action 'search_pipeline'"
-        in out
+        "behaviour 'search feasible?' of the tree of suave and 2 more: "
+        "unknown action 'search_pipeline'" in out
     )
     assert "action explore is mentioned nowhere" in out
 
@@ -302,6 +308,7 @@ def test_action_that_goes_on_unfeasible_with_nothing_to_stop_it_is_named(rosa):
     assert code == 0
     assert out.splitlines()[:2] == [
         "warning unguarded-action",
-        "  behaviour 'on and on' of tree trees:of_the_stubborn goes on with explore when that is unfeasible",
+        "  behaviour 'on and on' of tree trees:of_the_stubborn goes on with explore "
+        "when that is unfeasible",
     ]
     assert rosa("explorer.tql", "--tree", "trees:of_the_stubborn", "--strict")[0] == 1

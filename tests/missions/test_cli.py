@@ -1,4 +1,4 @@
-"""The command line as a person uses it: what it prints, what it writes, and one clear message for each mistake."""
+"""The command line as a person uses it: what it prints, writes and says of mistakes."""
 
 import json
 import os
@@ -164,10 +164,8 @@ def test_run_writes_all_files_that_are_asked_for(quick, tmp_path):
 
 
 def test_json_is_the_same_to_the_byte_under_another_hash_seed(tmp_path):
-    path, seed = (
-        tmp_path / "run.json",
-        "0" if os.environ.get("PYTHONHASHSEED") == "1234" else "1234",
-    )
+    path = tmp_path / "run.json"
+    seed = "0" if os.environ.get("PYTHONHASHSEED") == "1234" else "1234"
     done = rosa(
         "run",
         "suave_extended",
@@ -266,7 +264,8 @@ def test_full_standard_output_is_one_clear_message():
 
 
 def test_link_is_followed_not_replaced(quick, tmp_path):
-    target, link = tmp_path / "target.json", tmp_path / "link.json"
+    target = tmp_path / "target.json"
+    link = tmp_path / "link.json"
     target.write_text("old")
     link.symlink_to(target)
     quick("run", "suave", "--set", "duration_s=5", "--json", link)
@@ -350,7 +349,8 @@ def test_recording_carries_the_settings_so_that_its_replay_decides_the_same(quic
     live = json.loads((tmp_path / "run.json").read_text())["adaptations"]
     assert len(live) > 6
     again = [
-        (round(one.at_s, 6), one.change, round(one.reaction_s, 6)) for one in decisions.adaptations
+        (round(adaptation.at_s, 6), adaptation.change, round(adaptation.reaction_s, 6))
+        for adaptation in decisions.adaptations
     ]
     assert again == [(one["at_s"], one["change"], one["reaction_s"]) for one in live]
 

@@ -21,7 +21,8 @@ from missions.engine.mission import MissionError
 from missions.wires.groot2 import Groot2Publisher
 from rosa_bt import BehaviourRegistry, load_xml
 
-S, F = Status.SUCCESS, Status.FAILURE
+S = Status.SUCCESS
+F = Status.FAILURE
 LOADED = """
 <root BTCPP_format="4" main_tree_to_execute="Main">
   <BehaviorTree ID="Main">
@@ -54,7 +55,8 @@ def free_port():
 
 @contextmanager
 def watched(root):
-    tree, publisher = BehaviourTree(root), None
+    tree = BehaviourTree(root)
+    publisher = None
     while publisher is None:
         port = free_port()
         with suppress(MissionError):  # that port or the next is taken

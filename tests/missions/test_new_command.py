@@ -1,4 +1,7 @@
-"""`rosa new` writes a robot that runs as it is; as a mission of one's own it is run by every manager there is."""
+"""`rosa new` writes a robot that runs as it is.
+
+As a mission of one's own it is run by every manager there is.
+"""
 
 import subprocess
 import sys
@@ -28,7 +31,10 @@ NAMES = iter(f"robot_{number}" for number in range(100))
 
 @pytest.fixture
 def new(tmp_path, monkeypatch, capsys):
-    """Return what has `rosa new` write a robot with some options and returns the name; it can be imported then."""
+    """Return what has `rosa new` write a robot with some options and returns the name.
+
+    It can be imported then.
+    """
     monkeypatch.chdir(tmp_path)
 
     def write(*options):
@@ -183,7 +189,8 @@ def test_failures_make_nothing_unfeasible_where_nothing_adapts_and_are_sensed(ne
         (
             "uav",
             "rosa",
-            "there are ours, none, random, fixed, bt; one of your own is given as package:Class; rosa manages",
+            "there are ours, none, random, fixed, bt; "
+            "one of your own is given as package:Class; rosa manages",
         ),
         ("uav", "bt", "mission uav has no hand-written tree"),
         ("agv", "none", "the task layer of mission agv selects configurations; run it under ours"),
@@ -291,7 +298,8 @@ def test_mission_with_a_wrong_field_is_refused_in_a_sentence(new, changes, messa
 
 def test_mission_that_cannot_be_made_is_refused_with_the_line(tmp_path, monkeypatch):
     (tmp_path / "slip_of_mine.py").write_text(
-        "from missions.engine.mission import Mission\n\nMISSION = Mission(name='slip', trees=None)\n"
+        "from missions.engine.mission import Mission\n\n"
+        "MISSION = Mission(name='slip', trees=None)\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(MissionError) as refusal:

@@ -128,7 +128,9 @@ def test_bytes_are_those_of_ros_2_and_of_rosbags():
     with rclpy_double.installed():
         library = Messages()
         for case in cases:
-            kind, message, data = case["type"], case["fields"], bytes.fromhex(case["cdr"])
+            kind = case["type"]
+            message = case["fields"]
+            data = bytes.fromhex(case["cdr"])
             assert ros.types().encode(kind, message)[: len(data)] == data
             assert ros.types().decode(kind, data) == message
             assert list(library.fields(kind)) == list(message)
@@ -209,7 +211,8 @@ def test_unanswered_call_blocks_no_other_call():
 
 
 def test_publications_waiting_at_a_cut_are_sent_later():
-    host, heard = RosbridgeDouble(), []
+    host = RosbridgeDouble()
+    heard = []
     with closing(Rosbridge(host.url)) as node:
         until(lambda: node.is_connected)
         host.close()

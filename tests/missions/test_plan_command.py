@@ -1,4 +1,4 @@
-"""`rosa plan` as a person uses it: the plan, why not, its files, and one clear message for each mistake."""
+"""`rosa plan` as a person uses it: the plan, why not, its files, and what is wrong."""
 
 import dataclasses
 import json
@@ -62,7 +62,8 @@ def test_plan_is_shown_with_what_each_step_needs(rosa):
     assert out.splitlines() == [
         "solved optimally by search: 2 steps, cost 2",
         "  1  search_pipeline(search_pipeline, pipeline, bluerov)",
-        "  2  inspect_pipeline(inspect_pipeline, pipeline, bluerov)  needs (pipeline_found pipeline) by 1",
+        "  2  inspect_pipeline(inspect_pipeline, pipeline, bluerov)  "
+        "needs (pipeline_found pipeline) by 1",
     ]
 
 
@@ -144,7 +145,8 @@ ALL_BROKEN = "battery_level=0.2,c_thruster_1=failed,recover_thrusters=failed"
             ["--mission", "suave", "--feasible", "", "--goal", "(pipeline_inspected pipeline)"],
             [
                 "out of reach: (pipeline_inspected pipeline)",
-                "unfeasible now: search_pipeline, inspect_pipeline; there would be a plan if they were feasible",
+                "unfeasible now: search_pipeline, inspect_pipeline; "
+                "there would be a plan if they were feasible",
             ],
         ),
         (
@@ -178,8 +180,10 @@ def test_unsolvable_says_which_goal_and_whether_it_is_for_want_of_feasible_actio
 
 def test_goals_that_exclude_one_another_are_told_so(rosa, tmp_path):
     (tmp_path / "d.pddl").write_text(
-        "(define (domain lamp) (:predicates (on) (off) (left)) (:action go :precondition (not (left))"
-        " :effect (and (left) (on))) (:action stay :precondition (not (left)) :effect (and (left) (off))))"
+        "(define (domain lamp) (:predicates (on) (off) (left)) "
+        "(:action go :precondition (not (left))"
+        " :effect (and (left) (on))) "
+        "(:action stay :precondition (not (left)) :effect (and (left) (off))))"
     )
     (tmp_path / "p.pddl").write_text(
         "(define (problem p) (:domain lamp) (:init) (:goal (and (on) (off))))"
@@ -202,7 +206,8 @@ def test_files_with_a_limit_are_planned_within_it_and_told_when_no_plan_keeps_it
         (0.5, 1, "no plan: search: "),
     ]:
         (tmp_path / "p.pddl").write_text(
-            f"(define (problem p) (:domain lamp) (:init (= (used) 0) (= (total-cost) 0) (= (left) {left}))"
+            "(define (problem p) (:domain lamp) "
+            f"(:init (= (used) 0) (= (total-cost) 0) (= (left) {left}))"
             " (:goal (and (on) (<= (used) (left)))) (:metric minimize (total-cost)))"
         )
         told_code, out, _ = rosa("d.pddl", "p.pddl")
@@ -253,7 +258,7 @@ def test_without_a_plan_only_the_json_is_written_and_the_rest_is_told(rosa, tmp_
             ["nowhere.pddl", EXTENDED[1]],
             "nowhere.pddl: cannot read this PDDL file: No such file or directory",
         ),
-        (EXTENDED[::-1], "is this the domain file?"),
+        (EXTENDED[::-1], "expected 'domain', found name 'problem'"),
         (
             [*EXTENDED, "--mission", "suave"],
             "give either a domain and a problem file, or a mission",
@@ -298,11 +303,11 @@ def test_without_a_plan_only_the_json_is_written_and_the_rest_is_told(rosa, tmp_
         ),
         (
             ["--mission", "suave", "--goal", "(pipeline_lost pipeline)"],
-            "unknown predicate 'pipeline_lost'",
+            "no declared predicate; nearest: pipeline_found",
         ),
         (
             ["--mission", "suave", "--goal", "(pipeline_found bluerov)"],
-            "of other types than declared: (pipeline_found ?p - pipeline)",
+            "of other types than (pipeline_found ?p - pipeline)",
         ),
         (
             ["--mission", "suave", "--goal", "pipeline_found"],
@@ -355,7 +360,7 @@ def test_a_certificate_is_a_table_and_json_of_what_every_combination_leaves_to_d
             for action in ("search_pipeline", "inspect_pipeline", "recharge")
             if action not in entry["unfeasible"]
         )
-        steps = plans[next(one for one in plans if set(one) == set(feasible))]
+        steps = plans[next(plan for plan in plans if set(plan) == set(feasible))]
         assert [step["action"] for step in entry["steps"]] == [step.schema for step in steps or ()]
     lines = out.splitlines()
     assert len(lines) == 10

@@ -230,10 +230,12 @@ def test_replay_decides_as_recorded(mission, task, tmp_path):
 
 
 def test_report_of_a_recording_is_that_of_the_run(tmp_path):
-    path, page = tmp_path / "run.mcap", tmp_path / "run.html"
+    path = tmp_path / "run.mcap"
+    page = tmp_path / "run.html"
     options = ("--no-progress", "--set", "duration_s=60", "--record", path, "--report", page)
     rosa("run", "suave", *options, code=1)
-    run, recorded = read_report(page), read_page(path)
+    run = read_report(page)
+    recorded = read_page(path)
     assert recorded.header == run.header
     rows = [tuple(row) for row in json.loads(json.dumps(recorded.rows)) if row[1] != "whatif"]
     assert sorted(map(repr, rows)) == sorted(repr(row) for row in run.rows if row[1] != "whatif")
@@ -246,8 +248,10 @@ class Stop(Listener):
 
 
 def test_run_stopped_by_hand_is_decided_as_recorded(tmp_path):
-    path, run = tmp_path / "run.mcap", open_run(find_mission("suave"), seed=0, settings={})
-    page, about = RunRecorder(run, 0, {}).recorder, header(run, 0)["run"]
+    path = tmp_path / "run.mcap"
+    run = open_run(find_mission("suave"), seed=0, settings={})
+    page = RunRecorder(run, 0, {}).recorder
+    about = header(run, 0)["run"]
     with McapRecorder(path, run.kb, run.tree, page=page, run=about) as recorder:
         run.listen(recorder, Stop())
         with pytest.raises(KeyboardInterrupt):
@@ -291,7 +295,9 @@ def test_recording_of_an_own_mission_says_how_to_name_it(tmp_path):
 
 
 def test_prefix_is_read_up_to_there_and_decided_alike(drop, tmp_path):
-    whole, data, rng = read_bag(drop), drop.read_bytes(), random.Random(7)
+    whole = read_bag(drop)
+    data = drop.read_bytes()
+    rng = random.Random(7)
     cut = tmp_path / "cut.mcap"
     for size in [*(rng.randrange(20_000, len(data)) for _ in range(4)), len(data) - 1]:
         cut.write_bytes(data[:size])
@@ -303,7 +309,9 @@ def test_prefix_is_read_up_to_there_and_decided_alike(drop, tmp_path):
 
 
 def test_file_that_was_never_completed_holds_every_message(tmp_path):
-    kb, path, copy = robot_kb(), tmp_path / "killed.mcap", tmp_path / "copy.mcap"
+    kb = robot_kb()
+    path = tmp_path / "killed.mcap"
+    copy = tmp_path / "copy.mcap"
     recorder = McapRecorder(path, kb)
     for value in range(100):
         kb.measure("energy", 0.5 + value / 1000)
@@ -321,7 +329,8 @@ def test_file_that_was_never_completed_holds_every_message(tmp_path):
 
 
 def test_converted_file_replaces_only_when_it_is_whole(drop, tmp_path):
-    copy, nonsense = tmp_path / "copy.mcap", tmp_path / "nonsense.mcap"
+    copy = tmp_path / "copy.mcap"
+    nonsense = tmp_path / "nonsense.mcap"
     copy.write_bytes(drop.read_bytes())
     rosa("record", "convert", copy, copy)
     assert read_bag(copy) == read_bag(drop)
@@ -396,7 +405,8 @@ def test_file_that_cannot_be_written_is_told(tmp_path, place):
 
 
 def test_recording_without_room_holds_what_came_before(tmp_path):
-    kb, limits = robot_kb(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    kb = robot_kb()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     recorder = McapRecorder(tmp_path / "full.mcap", kb)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
     try:
@@ -413,7 +423,8 @@ def test_recording_without_room_holds_what_came_before(tmp_path):
     ("count", "words"), [(1000, "does not keep up, 100 messages wait"), (1, "does not answer")]
 )
 def test_disk_that_hangs_holds_up_nobody(tmp_path, monkeypatch, count, words):
-    answers, add = Event(), mcap._Records.add
+    answers = Event()
+    add = mcap._Records.add
     monkeypatch.setattr(mcap._Records, "add", lambda *given: answers.wait(60) and add(*given))
     monkeypatch.setattr(mcap, "WAITING", 100)
     monkeypatch.setattr(mcap, "PATIENCE_S", 0.05)

@@ -18,7 +18,10 @@ class Rover:
     """Three lifecycle nodes, Nav2's action server, battery, light and diagnostics."""
 
     def __init__(self):
-        self.host, self.battery, self.light, self.heard = RosbridgeDouble(), 0.9, 0.9, []
+        self.host = RosbridgeDouble()
+        self.battery = 0.9
+        self.light = 0.9
+        self.heard = []
         names = ("/front/camera", "/lidar", "/navigator")
         self.camera, self.lidar, self.navigator = (LifecycleNode(self.host, name) for name in names)
         self.nav2 = ActionServer(self.host)

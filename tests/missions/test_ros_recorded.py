@@ -89,7 +89,8 @@ def test_kill_and_restart_recorded_are_noticed():
             while events and events[0][0] <= robot.now:
                 robot.host.publish("/camera/transition_event", "", events.pop(0)[1]["msg"])
 
-        camera, is_active = robot.kb.components["camera"], robot.bridge.managed.is_active
+        camera = robot.kb.components["camera"]
+        is_active = robot.bridge.managed.is_active
         robot.host.serve("/camera/get_state", "", get_state)
         robot.turn(lambda: is_active("camera"), 2, also=play)
         robot.turn(lambda: camera.status == "failure", 6, also=play)
