@@ -1,4 +1,7 @@
-"""All that a knowledge base answers, as a value; and a life of one, the same each time, told to a store."""
+"""All that a knowledge base answers, as a value.
+
+And a life of one, the same each time, told to a store.
+"""
 
 import random
 from contextlib import closing

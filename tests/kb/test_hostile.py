@@ -1,4 +1,4 @@
-"""Input that is broken or hostile: refused or ignored with a clear word, and no fact changed by what is refused."""
+"""Broken or hostile input is refused with a clear word, and changes no fact."""
 
 import math
 

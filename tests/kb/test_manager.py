@@ -171,7 +171,10 @@ OUTCOMES = st.sampled_from((None, 0.0, 1.0, 3.0, Broken("at once"), (1.0, Broken
 
 
 def live_through(model, data, ending):
-    """Let random things happen to a random robot under the loop; each command ends as `ending` says at last."""
+    """Let random things happen to a random robot under the loop.
+
+    Each command ends as `ending` says at last.
+    """
     kb, clock = base(model)
     lines = [
         f"{verb} {name}"

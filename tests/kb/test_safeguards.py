@@ -1,4 +1,4 @@
-"""What is shown before it is executed may be forbidden, and what would be done can be seen without doing it."""
+"""A plan may be vetoed before it is executed, and can be seen without being made."""
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -65,7 +65,8 @@ def test_allowed_plan_is_executed_and_recorded(answer):
         (Broken(), "Broken"),
         (
             3,
-            "the veto function answered 3; it is to answer None or True to let a plan pass, else a reason",
+            "the veto function answered 3; it is to answer None or True to let a plan pass, "
+            "else a reason",
         ),
     ],
 )

@@ -1,4 +1,4 @@
-"""Who listens hinders nobody: not when interrupted, not by answering without end, not by asking another base."""
+"""A subscriber hinders nobody: not when interrupted, not by asking another base."""
 
 import os
 import threading
