@@ -15,6 +15,8 @@ from kb.exceptions import UnknownName
 from kb.network import Network, Node
 from kb.remedies import FALSE, Interval, Requirements, bounds
 
+QUICK: Final = 4
+"""How many alternatives suffice to see that an element is possible."""
 MOST_ACTIONS: Final = 4
 PREFERRED: Final = 32
 """The most preferred alternatives with which each one is compared."""
@@ -205,9 +207,13 @@ def _contradictions(network: Network) -> Iterator[Finding]:
 
     A finding names the actions that its root makes impossible; what is between has no findings.
     """
+    quick = Requirements(limit=QUICK)
     requirements = Requirements()
-    nodes = [node for node in network.present() if node.kind not in ("attribute", "constraint")]
-    impossible = {node: None for node in nodes if requirements.of(node) == FALSE}
+    impossible: dict[Node, None] = {}
+    for node in network.present():
+        if node.kind not in ("attribute", "constraint") and not quick.of(node).conjunctions:
+            if requirements.of(node) == FALSE:
+                impossible[node] = None
     for node in impossible:
         broken = [part in impossible for part in node.requires]
         is_consequence = any(broken) and (all(broken) or node.kind != "component")
