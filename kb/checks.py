@@ -211,9 +211,9 @@ def _contradictions(network: Network) -> Iterator[Finding]:
     requirements = Requirements()
     impossible: dict[Node, None] = {}
     for node in network.present():
-        if node.kind not in ("attribute", "constraint") and not quick.of(node).conjunctions:
-            if requirements.of(node) == FALSE:
-                impossible[node] = None
+        is_element = node.kind not in ("attribute", "constraint")
+        if is_element and not quick.of(node).conjunctions and requirements.of(node) == FALSE:
+            impossible[node] = None
     for node in impossible:
         broken = [part in impossible for part in node.requires]
         is_consequence = any(broken) and (all(broken) or node.kind != "component")
