@@ -1,7 +1,7 @@
 """What a robot knows: which actions are feasible now, why, and how it has to be configured for what it does."""
 
 from kb.checks import Finding, Severity
-from kb.diagnostics import DiagnosticProblem, DiagnosticRule, DiagnosticRules
+from kb.diagnostics import DiagnosticProblem, DiagnosticRules
 from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression, StalePolicy
 from kb.events import Event, EventKind, StatusChange
 from kb.exceptions import (
@@ -46,7 +46,6 @@ __all__ = [
     "ComponentKind",
     "ConfigurationManager",
     "DiagnosticProblem",
-    "DiagnosticRule",
     "DiagnosticRules",
     "DuplicateName",
     "EstimationKind",

@@ -10,9 +10,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from kb.elements import KINDS, Constraint, Element, listed, text
+from kb.elements import KINDS, Constraint, Element, Owner, RequiredActionFact, listed, text
 from kb.exceptions import UnknownName
-from kb.facts import Contents, RequiredActionFact
 from kb.network import Network, Node
 from kb.remedies import FALSE, Conjunction, Interval, Requirements, bounds
 
@@ -98,7 +97,7 @@ def listing(names: Iterable[str], most: int = 4) -> str:
 # ---------------------------------------------------------------- what is looked for
 
 
-def check_model(model: Contents, names: Iterable[str] | None = None) -> tuple[Finding, ...]:
+def check_model(model: Owner, names: Iterable[str] | None = None) -> tuple[Finding, ...]:
     """Check a model; see `Model.check`.
 
     Errors come first; the findings of a rule are in the order of the model.
@@ -150,13 +149,13 @@ def _incomplete(network: Network) -> Iterator[Finding]:
                 yield found("unknown-action", node.name, f"a rate of {node.name}: {unknown}")
 
 
-def _preferences(model: Contents) -> list[tuple[str, str]]:
+def _preferences(model: Owner) -> list[tuple[str, str]]:
     """Return the actions that are requested with a preference, and the preferred attributes."""
     requests = [fact for fact in model.facts if isinstance(fact, RequiredActionFact)]
     return [(request.action, name) for request in requests for name in request.preference or ()]
 
 
-def _unused(model: Contents, network: Network) -> Iterator[Finding]:
+def _unused(model: Owner, network: Network) -> Iterator[Finding]:
     preferred = {name for _, name in _preferences(model)}
     used = preferred | {estimation.attribute for estimation in model.estimations}
     for node in network.attributes.values():
@@ -171,7 +170,7 @@ def _unused(model: Contents, network: Network) -> Iterator[Finding]:
                 yield found(f"unused-{node.kind}", node, f"{nobody} {node}")
 
 
-def _out_of_range(model: Contents) -> Iterator[Finding]:
+def _out_of_range(model: Owner) -> Iterator[Finding]:
     """Yield the constraints that the range of their attribute decides for every measurement."""
     for constraint in model.constraints:
         attribute = model.attributes[constraint.attribute]
@@ -276,7 +275,7 @@ def _conflict(node: Node, requirements: Requirements) -> str:
 # ---------------------------------------------------------------- what is never chosen
 
 
-def _doubtful_choices(model: Contents, network: Network) -> Iterator[Finding]:
+def _doubtful_choices(model: Owner, network: Network) -> Iterator[Finding]:
     """Yield ties, what is never selected, and estimations that are missing."""
     directly: dict[Node, set[str]] = {}
     for estimation in model.estimations:

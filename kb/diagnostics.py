@@ -9,8 +9,9 @@ import logging
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 from kb.events import Event
@@ -37,6 +38,7 @@ OK, WARN, ERROR, STALE = range(4)
 """Levels of diagnostic_msgs/DiagnosticStatus."""
 _BY_SEVERITY: Final = (OK, WARN, STALE, ERROR)
 _MEANINGS: Final = {"warn": ("ignored", "recovered", "failed"), "stale": ("not measured", "failed")}
+"""What a level may mean, by name; the first is the default."""
 _WORSE: Final = {"measure": "stale", "component_recovered": "component_failed"}
 _MOST_NAMES: Final = 1000
 
@@ -73,40 +75,6 @@ class _Fact(NamedTuple):
     reason: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class DiagnosticRule:
-    """The meaning of the statuses whose names match a pattern.
-
-    ERROR fails the component, OK recovers it. STALE makes the attributes not measured.
-
-    Attributes:
-        component: the component that the statuses are about; empty if they are about none.
-        attributes: the attribute that each key measures.
-        warn: "ignored" leaves the component as it is; "recovered" and "failed" change it.
-        stale: "failed" makes the component failed, too; "not measured" leaves it as it is.
-    """
-
-    component: str = ""
-    attributes: Mapping[str, str] = field(default_factory=dict)
-    warn: str = "ignored"
-    stale: str = "not measured"
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.component, str):
-            raise InvalidValue(f"component is the name of a component, not {self.component!r}")
-        is_mapping = isinstance(self.attributes, Mapping)
-        texts = (*self.attributes, *self.attributes.values()) if is_mapping else (None,)
-        if not all(isinstance(text, str) for text in texts):
-            raise InvalidValue(
-                f"attributes are names of attributes by key, not {self.attributes!r}"
-            )
-        for name, value in (("warn", self.warn), ("stale", self.stale)):
-            if value not in _MEANINGS[name]:
-                raise InvalidValue(f"{name} is one of {', '.join(_MEANINGS[name])}; not {value!r}")
-        if not self.component and not self.attributes:
-            raise InvalidValue("a rule names a component, or attributes by key, or both")
-
-
 class DiagnosticRules:
     """The meaning of everybody's diagnostics, by patterns of the statuses' names.
 
@@ -119,12 +87,16 @@ class DiagnosticRules:
         })
         kb.receive(array, rules=rules)
 
+    ERROR fails the component, OK recovers it. WARN is "ignored", or means "recovered" or "failed".
+    STALE makes the attributes "not measured"; "failed" makes the component fail, too.
+
     The first pattern that matches a name counts, with wildcards as in names of files. A component
     that several names are about has failed if one of them says so, and recovers when none does any
     more.
 
     Args:
-        table: for each pattern the name of a component, or the fields of a `DiagnosticRule`.
+        table: for each pattern the name of a component, or a table: the component, the attributes
+            by the key that measures them, and what "warn" and "stale" mean.
 
     Attributes:
         not_understood: how many statuses matched no pattern and are not ROSA's, by name.
@@ -133,11 +105,11 @@ class DiagnosticRules:
         InvalidValue: the table is malformed.
     """
 
-    def __init__(self, table: Mapping[str, str | Mapping[str, Any] | DiagnosticRule]) -> None:
+    def __init__(self, table: Mapping[str, str | Mapping[str, Any]]) -> None:
         if not isinstance(table, Mapping):
             raise InvalidValue(f"rules are given by pattern of a status's name, not as {table!r}")
         self.not_understood: Counter[str] = Counter()
-        self._rules = {pattern: _rule(pattern, entry) for pattern, entry in table.items()}
+        self._rules = {pattern: _Rule.of(pattern, entry) for pattern, entry in table.items()}
         self._failures: dict[str, dict[str, str]] = {}
         """By component: the names that say that it has failed, and why."""
 
@@ -164,7 +136,7 @@ class DiagnosticRules:
             if not is_rosas and len(self.not_understood) < _MOST_NAMES:
                 self.not_understood[status.name] += 1
 
-    def _by_rule(self, rule: DiagnosticRule, status: _Status, worst: int) -> Iterator[_Fact]:
+    def _by_rule(self, rule: "_Rule", status: _Status, worst: int) -> Iterator[_Fact]:
         if worst == STALE:
             for attribute in rule.attributes.values():
                 yield _Fact("stale", attribute, "STALE")
@@ -241,27 +213,44 @@ def _rosas_facts(status: _Status) -> Iterator[_Fact]:
                 yield _Fact(verb, key, value)
 
 
-def _rule(pattern: object, entry: object) -> DiagnosticRule:
-    if not isinstance(pattern, str) or not pattern:
-        raise InvalidValue(f"a pattern is a text such as 'camera: *', not {pattern!r}")
-    if isinstance(entry, DiagnosticRule):
-        return entry
-    if isinstance(entry, str):
-        entry = {"component": entry}
-    if not isinstance(entry, Mapping):
-        raise InvalidValue(
-            f"the rule for {pattern!r} is the name of a component, or a table; not {entry!r}"
-        )
-    fields = DiagnosticRule.__dataclass_fields__
-    for name in entry:
-        if name not in fields:
+class _Rule(NamedTuple):
+    component: str = ""
+    attributes: Mapping[str, str] = MappingProxyType({})
+    warn: str = "ignored"
+    stale: str = "not measured"
+
+    @classmethod
+    def of(cls, pattern: object, entry: object) -> "_Rule":
+        """Return the rule that is written for a pattern."""
+        if not isinstance(pattern, str) or not pattern:
+            raise InvalidValue(f"a pattern is a text such as 'camera: *', not {pattern!r}")
+        about = f"the rule for {pattern!r}"
+        if isinstance(entry, str):
+            entry = {"component": entry}
+        if not isinstance(entry, Mapping):
+            raise InvalidValue(f"{about} is the name of a component, or a table; not {entry!r}")
+        for name in entry:
+            if name not in cls._fields:
+                fields = ", ".join(cls._fields)
+                raise InvalidValue(f"{about} has no field {name!r}; fields are {fields}")
+        rule = cls(**entry)
+        texts = [rule.component]
+        if isinstance(rule.attributes, Mapping):
+            texts += [*rule.attributes, *rule.attributes.values()]
+        else:
+            texts.append(rule.attributes)
+        if not all(isinstance(text, str) for text in texts):
             raise InvalidValue(
-                f"the rule for {pattern!r} has no field {name!r}; fields are {', '.join(fields)}"
+                f"{about}: component is a name, and attributes are names of attributes by key, "
+                f"not {rule.component!r} and {rule.attributes!r}"
             )
-    try:
-        return DiagnosticRule(**entry)
-    except InvalidValue as error:
-        raise InvalidValue(f"the rule for {pattern!r}: {error}") from None
+        for name, words in _MEANINGS.items():
+            if getattr(rule, name) not in words:
+                wrong = getattr(rule, name)
+                raise InvalidValue(f"{about}: {name} is one of {', '.join(words)}; not {wrong!r}")
+        if not rule.component and not rule.attributes:
+            raise InvalidValue(f"{about} names a component, or attributes by key, or both")
+        return rule
 
 
 # -------------------------------------------------------------------- the forms of an array

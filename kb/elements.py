@@ -1,7 +1,8 @@
 """What a robot is made of and can do, in ROSA's words; only a `Model` makes and changes elements.
 
 An element belongs to one model and equals nothing but itself. The annotation of a field says how
-the field is checked, and whether it may change after the declaration.
+the field is checked, and whether it may change after the declaration. The last part has the facts
+that a model can state: a knowledge base made of it begins with them.
 """
 
 import json
@@ -301,12 +302,22 @@ def _one_of(what: str, options: type[StrEnum], *, can_change: bool = True) -> Fi
 
 
 class Owner(Protocol):
-    """What elements ask of the model that they are in."""
+    """A model, for its elements and for those who read it; see `Model`."""
 
     name: str
+    attributes: Mapping[str, "Attribute"]
+    tables: Mapping[type, Mapping[Any, Any]]
+    notes: list[str]
+    places: dict["Element | Constraint", str]
 
     @property
     def actions(self) -> Mapping[str, "Action"]: ...
+    @property
+    def constraints(self) -> tuple["Constraint", ...]: ...
+    @property
+    def estimations(self) -> tuple["Estimation", ...]: ...
+    @property
+    def facts(self) -> tuple["Fact", ...]: ...
     def change(self, element: "Changeable | str", **fields: object) -> None: ...
     def declare(
         self,
@@ -326,6 +337,8 @@ class Owner(Protocol):
         value: float,
         kind: EstimationKind | str = "positive",
     ) -> "Estimation": ...
+    def add_fact(self, fact: "Fact") -> None: ...
+    def state(self, cls: type, values: Mapping[str, Any]) -> "Changeable | None": ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -719,3 +732,126 @@ def exact(value: float) -> str:
     """Write a number with as few digits as say exactly which it is."""
     short = f"{value:g}"
     return short if float(short) == value else repr(value)
+
+
+# ---------------------------------------------------------------- facts from the start
+
+
+@dataclass(frozen=True, slots=True)
+class MeasurementFact:
+    """An attribute had a value, in its unit; a value that is not the latest one goes to the history only.
+
+    The time of measurement is in s since 1970-01-01 UTC; None stands for the time when the knowledge base is made.
+    """
+
+    attribute: str
+    value: float
+    time: float | None = None
+    latest: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class StatusFact:
+    """A status is asserted, in place of the inferred one."""
+
+    element: Element | Constraint
+    status: Status
+
+
+@dataclass(frozen=True, slots=True)
+class RequiredFact:
+    """An element is asserted to be required."""
+
+    element: Action | Function | Component
+
+
+@dataclass(frozen=True, slots=True)
+class SelectedFact:
+    """A design or configuration is the one chosen."""
+
+    element: FunctionDesign | Configuration
+
+
+@dataclass(frozen=True, slots=True)
+class ActiveFact:
+    """A component is running."""
+
+    component: str
+
+
+@dataclass(frozen=True, slots=True)
+class RequiredActionFact:
+    """An action was requested, with the weight of each attribute to favour; without an end it is still required.
+
+    Start and end are times [s since 1970-01-01 UTC]; a start of None is the time when the knowledge base is made.
+    """
+
+    action: str
+    preference: Mapping[str, float] | None = None
+    start: float | None = None
+    end: float | None = None
+    result: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessFact:
+    """A component ran, or runs, as a process of the operating system; times as in `RequiredActionFact`."""
+
+    component: str
+    pid: int
+    start: float | None = None
+    end: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PlanFact:
+    """A reconfiguration plan was made; names as in `ReconfigurationPlan`, times as in `RequiredActionFact`."""
+
+    activate: tuple[str, ...] = ()
+    deactivate: tuple[str, ...] = ()
+    parameters: tuple[str, ...] = ()
+    start: float | None = None
+    end: float | None = None
+    result: str | None = None
+
+
+ROSA: Final[Mapping[type, str]] = {
+    **KINDS,
+    Configuration: "component configuration",
+    MeasurementFact: "measurement",
+    StatusFact: "asserted status",
+    RequiredFact: "asserted requirement",
+    SelectedFact: "selection",
+    ActiveFact: "activity",
+    RequiredActionFact: "required action",
+    ProcessFact: "component process",
+    PlanFact: "reconfiguration plan",
+}
+"""What each class of element and fact is called, each after those that it refers to."""
+
+Fact = (
+    MeasurementFact
+    | StatusFact
+    | RequiredFact
+    | SelectedFact
+    | ActiveFact
+    | RequiredActionFact
+    | ProcessFact
+    | PlanFact
+)
+
+
+class Amended(NamedTuple):
+    """One change of a model.
+
+    Attributes:
+        how: "declared", "changed" or "removed".
+        elements: what was.
+        put: makes the change, once or again.
+        written: what `Model.amend` takes to make it in an equal model, as values for JSON.
+    """
+
+    how: str
+    elements: tuple[Changeable, ...]
+    put: Callable[[], None]
+    written: Any

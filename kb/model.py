@@ -23,13 +23,14 @@ from types import MappingProxyType
 from typing import Any, Final, Protocol, Self, TypedDict, TypeVar, Unpack, get_args
 from weakref import ref
 
-from kb import facts
+from kb import elements
 from kb.checks import Finding, check_model
 from kb.elements import (
     CHECKS,
     KINDS,
     REFERENCES,
     Action,
+    Amended,
     Attribute,
     AttributeKind,
     ByName,
@@ -44,11 +45,16 @@ from kb.elements import (
     Estimation,
     EstimationKind,
     Expression,
+    Fact,
     Function,
     FunctionDesign,
+    Owner,
     Rate,
+    RequiredFact,
     Restorable,
+    SelectedFact,
     StalePolicy,
+    StatusFact,
     called,
     choice,
     finite_number,
@@ -61,14 +67,6 @@ from kb.elements import (
 )
 from kb.elements import table as html_table
 from kb.exceptions import DuplicateName, ModelError, UnknownName
-from kb.facts import (
-    Amended,
-    Contents,
-    Fact,
-    RequiredFact,
-    SelectedFact,
-    StatusFact,
-)
 from kb.files import SUFFIXES, ModelFileError, write_text
 from kb.records import check_result
 
@@ -309,7 +307,7 @@ class Model:
         return estimation
 
     def add_fact(self, fact: Fact) -> None:
-        """Add a fact that holds from the start; see `kb.facts`.
+        """Add a fact that holds from the start; see `kb.elements`.
 
         Knowledge bases that exist already do not get it.
         """
@@ -544,8 +542,8 @@ class Model:
     def _checked(self, fact: object) -> Fact:
         """Return a fact, after checking that its elements and values are allowed."""
         if not isinstance(fact, Fact):
-            raise ModelError(f"a fact is one of those in kb.facts, not {fact!r}")
-        kind = facts.ROSA[type(fact)]
+            raise ModelError(f"a fact is one of those in kb.elements, not {fact!r}")
+        kind = elements.ROSA[type(fact)]
         values: dict[str, Any] = {}
         for field in fields(fact):
             name = field.name
@@ -688,7 +686,7 @@ def _suffix(file: Path) -> str:
     return suffix
 
 
-def _users_of(model: Contents, element: Element) -> list[str]:
+def _users_of(model: Owner, element: Element) -> list[str]:
     """Return what needs an element, in words."""
     named = [field for field, cls in REFERENCES.items() if isinstance(element, cls)]
     users = []
@@ -739,17 +737,17 @@ def _concerns(fact: Fact, removed: Collection[Changeable]) -> bool:
 
 # ---------------------------------------------------------------- plain values
 
-_CLASSES: Final = {words: cls for cls, words in facts.ROSA.items()}
+_CLASSES: Final = {words: cls for cls, words in elements.ROSA.items()}
 
 
-def _reference(model: Contents, element: Changeable) -> list[Any]:
+def _reference(model: Owner, element: Changeable) -> list[Any]:
     """Return the class of an element, and its name or its position among those without."""
     if isinstance(element, Element):
-        return [facts.ROSA[type(element)], element.name]
-    return [facts.ROSA[type(element)], list(model.tables[type(element)]).index(element)]
+        return [elements.ROSA[type(element)], element.name]
+    return [elements.ROSA[type(element)], list(model.tables[type(element)]).index(element)]
 
 
-def _plain(model: Contents, value: Any) -> Any:  # noqa: ANN401  # of any field
+def _plain(model: Owner, value: Any) -> Any:  # noqa: ANN401  # of any field
     """Return the value of a field as JSON can hold it."""
     if isinstance(value, Changeable):
         return _reference(model, value)
@@ -760,14 +758,14 @@ def _plain(model: Contents, value: Any) -> Any:  # noqa: ANN401  # of any field
     return value
 
 
-def _row(model: Contents, described: Any) -> list[Any]:  # noqa: ANN401  # an element or a fact
+def _row(model: Owner, described: Any) -> list[Any]:  # noqa: ANN401  # an element or a fact
     """Return what something is and its fields that have not their defaults, as plain values."""
     values = {}
     for field in fields(described):
         value = getattr(described, field.name)
         if field.name != "model" and value != field.default:
             values[field.name] = _plain(model, value)
-    return [facts.ROSA[type(described)], values]
+    return [elements.ROSA[type(described)], values]
 
 
 def _referred(model: Model, reference: Sequence[Any]) -> Any:  # noqa: ANN401  # an element

@@ -14,10 +14,10 @@ from kb.elements import (
     Element,
     Function,
     FunctionDesign,
+    Owner,
     shown,
 )
 from kb.exceptions import InvalidValue, UnknownName
-from kb.facts import Contents
 
 Ref = tuple[str, str] | tuple[str, str, int]
 """A reference to a node as plain data: (kind, name); for a constraint (kind, name, position) by an element it is on."""
@@ -93,7 +93,7 @@ class Node:
 class Network:
     """One node for each element of a model, found by name within its kind; a constraint by itself."""
 
-    def __init__(self, model: Contents) -> None:
+    def __init__(self, model: Owner) -> None:
         self.model = model
         self.revision = 0  # grows at each `renew`
         self._count = 0

@@ -30,14 +30,14 @@ from urllib.parse import quote
 from weakref import finalize
 from xml.parsers import expat
 
-from kb import elements, facts, records
+from kb import elements, records
 from kb.elements import ByName
 from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError, ModelError, UnknownName
 from kb.files import ModelFileError, read_text
 from kb.state import State
 
-ModelT = TypeVar("ModelT", bound=facts.Contents)
+ModelT = TypeVar("ModelT", bound=elements.Owner)
 Answer = str | bool | int | float | None
 World = Any  # of owlready2, which has no types
 
@@ -68,7 +68,7 @@ class Individual(NamedTuple):
 # ---------------------------------------------------------------- words
 
 CLASSES: Final[Mapping[type, str]] = {
-    **{cls: words.title().replace(" ", "") for cls, words in facts.ROSA.items()},
+    **{cls: words.title().replace(" ", "") for cls, words in elements.ROSA.items()},
     records.RequiredAction: "RequiredAction",
     records.ReconfigurationPlan: "ReconfigurationPlan",
     records.Process: "ComponentProcess",
@@ -168,7 +168,7 @@ def _lineage(word: str) -> list[str]:
 
 
 READ: Final = {
-    **{CLASSES[cls]: (cls, {}) for cls in facts.ROSA},
+    **{CLASSES[cls]: (cls, {}) for cls in elements.ROSA},
     "QualityAttribute": (elements.Attribute, {"kind": "quality"}),
     "EnvironmentalAttribute": (elements.Attribute, {"kind": "environmental"}),
     "ProcessComponent": (elements.Component, {"kind": "process"}),
@@ -261,7 +261,7 @@ class _Graph:
         declare_words(self.ontology)
         self.close = self.world.close
 
-    def describe(self, model: facts.Contents) -> Iterator[Individual]:
+    def describe(self, model: elements.Owner) -> Iterator[Individual]:
         """Describe all elements of a model, which thereby get their ids."""
         yield Individual("RobotModel", _id("RobotModel", model.name), {"name": model.name})
         for cls, table in model.tables.items():
@@ -343,7 +343,7 @@ class _Graph:
 # ---------------------------------------------------------------- files
 
 
-def owl_text(model: facts.Contents) -> str:
+def owl_text(model: elements.Owner) -> str:
     """Write a model with ROSA's words as RDF/XML; see `Model.save`."""
     with _LOCK, closing(_Graph(model.name)) as graph:
         for individual in graph.describe(model):
@@ -404,7 +404,7 @@ class _Reader:
         for thing in self._rosa.RobotModel.instances():
             yield from map(_unfit, self._rosa["name"][thing])
 
-    def declare(self, model: facts.Contents) -> None:
+    def declare(self, model: elements.Owner) -> None:
         """Declare elements by class and position, then facts by position."""
         kinds = {thing: READ[word] for word in READ for thing in self._rosa[word].instances()}
         ranks = {cls: rank for rank, cls in enumerate(elements.KINDS)}

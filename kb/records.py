@@ -10,9 +10,8 @@ from itertools import islice
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
-from kb.elements import Parameters, table
+from kb.elements import Parameters, PlanFact, ProcessFact, RequiredActionFact, table
 from kb.exceptions import InvalidValue
-from kb.facts import PlanFact, ProcessFact, RequiredActionFact
 
 if TYPE_CHECKING:
     from kb.events import Event  # an event has a plan
@@ -288,7 +287,7 @@ class Records:
     def apply(self, event: "Event") -> None:
         """Enter what an event says."""
         now = event.time
-        if event.plan is not None and event.plan.number not in self.plans:
+        if event.plan is not None:
             self.end_reasons = {}
             self._add(event.plan)
         match event.verb, event.arguments:

@@ -1,4 +1,7 @@
-"""The simulated sea of the (extended) SUAVE mission: a BlueROV2 in MuJoCo looks for a pipeline and follows it."""
+"""The simulated sea of the (extended) SUAVE mission.
+
+A BlueROV2 in MuJoCo looks for a pipeline and follows it.
+"""
 
 from suave_env.env import SuaveEnv
 from suave_env.monitors import Change

@@ -1,6 +1,7 @@
 """The four nodes that can be switched: spiral search, follow pipeline, recover thrusters, recharge.
 
-Each has a free-running timer and acts only while active. Their rules are those of the nodes of kas-lab/suave v1.3.0.
+Each has a free-running timer and acts only while active. Their rules are those of the nodes of
+kas-lab/suave v1.3.0.
 """
 
 import heapq
@@ -20,7 +21,10 @@ HIGHEST_ALTITUDE_M = 19.0
 
 
 class Agenda:
-    """The events to come, in order of time [s]; those at the same time in the order of their entry."""
+    """The events to come, in order of time [s].
+
+    Those at the same time in the order of their entry.
+    """
 
     def __init__(self) -> None:
         self._events: list[tuple[float, int, Callable[[float], None]]] = []
@@ -37,7 +41,7 @@ class Agenda:
         self._entered += 1
 
     def every(self, period: float, phase: float, event: Callable[[float], None]) -> None:
-        """Enter a timer that runs freely from now on, called at `phase + k * period` [s] without accumulating error."""
+        """Enter a timer, called at `phase + k * period` [s] without accumulating error."""
         count = 0
 
         def tick(time: float) -> None:
@@ -71,7 +75,10 @@ class Component:
 
 
 class Mover(Component):
-    """A node that sends setpoints: at each of its periods, while it is active and setpoints are obeyed."""
+    """A node that sends setpoints.
+
+    At each of its periods, while it is active and setpoints are obeyed.
+    """
 
     def __init__(self, settings: Settings, autopilot: Autopilot) -> None:
         super().__init__()
@@ -86,7 +93,7 @@ class Mover(Component):
     def _act(self, time: float) -> None: ...
 
     def _is_near(self, point: tuple[float, ...], tolerance: float) -> bool:
-        """Tell whether the vehicle is that close [m] to a point, (x, y) or (x, y, z), along each of its axes."""
+        """Tell whether the vehicle is that close [m] to a point along each of its axes."""
         position = self._autopilot.position
         return all(
             abs(here - there) <= tolerance for here, there in zip(position, point, strict=False)
@@ -94,12 +101,12 @@ class Mover(Component):
 
 
 class SpiralSearch(Mover):
-    """Searches along a spiral: one point every 0.1 rad, whose turns lie as far apart as the camera sees.
+    """Searches along a spiral whose turns lie as far apart as the camera sees.
 
-    Per point the radius grows by `2 a tan(30 deg) 0.1 / (2 pi)` for an altitude `a`, the parameter `spiral_altitude`
-    [m]. A change of altitude skips one angle. A point counts as reached within 0.4 m in x, y and z; after more than 10
-    ticks without reaching it, it is sent again, and lower by 0.25 m if only the height is off, while the goal that is
-    checked stays as it was.
+    Per point the radius grows by `2 a tan(30 deg) 0.1 / (2 pi)` for an altitude `a`, the parameter
+    `spiral_altitude` [m]. A change of altitude skips one angle. A point counts as reached within
+    0.4 m in x, y and z; after more than 10 ticks without reaching it, it is sent again, and lower
+    by 0.25 m if only the height is off, while the goal that is checked stays as it was.
     """
 
     name = "spiral_search"
@@ -165,8 +172,9 @@ class SpiralSearch(Mover):
 class FollowPipeline(Mover):
     """Follows the path along the pipeline, point by point, 1.25 m above the seabed.
 
-    Every 2 s it checks the point under way, and takes on as many further points as are within 0.5 m in x and in y.
-    What is left of the path outlives a deactivation; the distance does not outlive the next activation.
+    Every 2 s it checks the point under way, and takes on as many further points as are within 0.5 m
+    in x and in y. What is left of the path outlives a deactivation; the distance does not outlive
+    the next activation.
 
     Attributes:
         distance_m: Distance inspected since the last activation [m].
@@ -238,7 +246,9 @@ class FollowPipeline(Mover):
 
 
 class RecoverThrusters(Component):
-    """Restores the thrusters one after another: the first after 10 s, then one every 0.25 s, failed or not.
+    """Restores the thrusters one after another.
+
+    The first after 10 s, then one every 0.25 s, failed or not.
 
     Once begun, it runs to its end even when it is deactivated, unless the settings say otherwise.
     """
@@ -276,8 +286,8 @@ class RecoverThrusters(Component):
 class Recharge(Mover):
     """Drives to the recharge station and recharges the battery there.
 
-    Every 5 s it sends the station as setpoint, and recharges if it is within 0.5 m in x and in y. By the rules of 2025
-    it checks twice a second, and sends the setpoint once for each drive.
+    Every 5 s it sends the station as setpoint, and recharges if it is within 0.5 m in x and in y.
+    By the rules of 2025 it checks twice a second, and sends the setpoint once for each drive.
     """
 
     name = "recharge"
@@ -303,7 +313,7 @@ class Recharge(Mover):
 
 
 class Components:
-    """The components by name; a change takes effect at once, because the caller simulates the time of switching.
+    """The components by name; a change takes effect at once.
 
     Attributes:
         history: Every change so far that changed something, in order of time.
@@ -338,7 +348,7 @@ class Components:
         return dict(self._component(name).parameters)
 
     def check(self, name: str, values: Mapping[str, object]) -> None:
-        """Raise `SuaveEnvError` if a component cannot be switched or given these values by parameter name."""
+        """Raise `SuaveEnvError` if a component cannot take these values by parameter name."""
         _taken(self._component(name), values)
 
     def activate(self, name: str) -> None:

@@ -1,4 +1,4 @@
-"""The simulated sea: connects vehicle, nodes, monitors and water, and advances them in lock-step."""
+"""The simulated sea: vehicle, nodes, monitors and water, advanced in lock-step."""
 
 import math
 from dataclasses import dataclass
@@ -36,7 +36,9 @@ from suave_env.vehicle import Autopilot, Thrusters, Vehicle, floated
 
 @dataclass(frozen=True)
 class Observation:
-    """The truth at one moment, for plots and records; managers and task layers receive messages only.
+    """The truth at one moment, for plots and records.
+
+    Managers and task layers receive messages only.
 
     Attributes:
         time: Time since GUIDED [s].
@@ -64,12 +66,13 @@ class Observation:
 
 
 class SuaveEnv:
-    """The sea of the (extended) SUAVE mission with an underwater vehicle that searches for a pipeline and follows it.
+    """The sea of the (extended) SUAVE mission, with an underwater vehicle in it.
 
     Time is simulated and moves only in `advance`; the same settings and seed give the same floats.
 
     Args:
-        rng: The only source of chance: start position, vertical bias and the phases of the free-running timers.
+        rng: The only source of chance: start position, vertical bias and the phases of the
+            free-running timers.
 
     Attributes:
         now: Time since GUIDED [s].
@@ -163,7 +166,7 @@ class SuaveEnv:
 
     @property
     def disturbances(self) -> list[tuple[float, str]]:
-        """The true disturbances of vehicle and sea up to now, each with its time [s], in order of time."""
+        """The true disturbances up to now, each with its time [s], in order of time."""
         return list(self._disturbances)
 
     def advance(self, until: float, *, pause: bool = False) -> list[Message]:
@@ -181,7 +184,7 @@ class SuaveEnv:
         """
         if not self.now <= until < math.inf:
             raise SuaveEnvError(
-                f"cannot advance to {until!r} s; allowed is a finite time from now, {self.now} s, on"
+                f"cannot advance to {until!r} s; allowed is a finite time from {self.now} s on"
             )
         agenda = self._agenda
         fly = self._autopilot.fly
@@ -197,7 +200,10 @@ class SuaveEnv:
         return self._outbox.fetch()
 
     def observe(self) -> Observation:
-        """Return the truth now; the vehicle's state is that at the end of the last control period."""
+        """Return the truth now.
+
+        The vehicle's state is that at the end of the last control period.
+        """
         x, y, z = self._vehicle.position
         return Observation(
             time=self.now,
@@ -227,7 +233,9 @@ class SuaveEnv:
         self._outbox.publish(time, "pipeline_detection", MISSION_STATUS, "pipeline_found", "true")
 
     def _drain(self, time: float) -> None:
-        """Discharge the battery by one period; the rounding errors add up, as in kas-lab/suave v1.3.0.
+        """Discharge the battery by one period.
+
+        The rounding errors add up, as in kas-lab/suave v1.3.0.
 
         After 150 steps of 1 s out of 200 s the level is 0.24999999999999933.
         """
@@ -242,7 +250,7 @@ class SuaveEnv:
         self._publish_battery(time)
 
     def _publish_visibility(self, time: float) -> None:
-        """Publish the visibility at whole periods since the start, as kas-lab/suave v1.3.0 does at integer seconds."""
+        """Publish the visibility at whole periods since the start, as kas-lab/suave v1.3.0."""
         self._visibility = self._water.visibility(
             self._whole_periods * self.settings.visibility_monitor_period_s
         )
@@ -252,7 +260,10 @@ class SuaveEnv:
         )
 
     def _publish_thrusters(self, time: float) -> None:
-        """Publish each failure and each recovery by itself once; the recovery node publishes its own recoveries."""
+        """Publish each failure and each recovery by itself once.
+
+        The recovery node publishes its own recoveries.
+        """
         for thruster, word in self._thruster_news:
             self._outbox.publish(
                 time, "thruster_monitor", COMPONENT_STATUS, f"c_thruster_{thruster}", word

@@ -1,4 +1,6 @@
-"""The sea as a Gymnasium environment, for managers that learn; importing this registers `rosa/SUAVE-v0`.
+"""The sea as a Gymnasium environment, for managers that learn.
+
+Importing this registers `rosa/SUAVE-v0`.
 
 Needs the extra `gym` (`pip install rosa-taca[gym]`).
 """
@@ -35,16 +37,19 @@ _WORDS = {"FALSE": 0.0, "ERROR": 0.0, "RECOVERED": 1.0, "OK": 1.0, "true": 1.0}
 class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
     """The mission of SUAVE, one action per step of simulated time.
 
-    Observation, (9,): the values published last (`OBSERVED`): visibility [m], 0 before the first; battery level from
-    0 to 1; for each thruster 1 if it works and 0 if it has failed; 1 once the pipeline is found.
-    Action, (5,): for each of `COMPONENTS` 1 for active and 0 for inactive, then an index into `ALTITUDES_M`.
-    Reward: metres of the pipeline inspected in the step, without SUAVE's reset. An episode is terminated when all of it
+    Observation, (9,): the values published last (`OBSERVED`): visibility [m], 0 before the first;
+    battery level from 0 to 1; for each thruster 1 if it works and 0 if it has failed; 1 once the
+    pipeline is found. Action, (5,): for each of `COMPONENTS` 1 for active and 0 for inactive, then
+    an index into `ALTITUDES_M`.
+    Reward: metres of the pipeline inspected in the step, without SUAVE's reset. An episode is
+        terminated when all of it
     is inspected, and truncated when the time is up.
 
     Args:
         duration_s: Time limit of an episode [s].
         step_s: Simulated time of one step [s].
-        settings: Values that differ from the default settings of the sea, by name, e.g. {"rules": "2025"}.
+        settings: Values that differ from the default settings of the sea, by name, e.g. {"rules":
+            "2025"}.
 
     Raises:
         SuaveEnvError: If a setting is unknown or its value not allowed.

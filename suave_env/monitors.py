@@ -1,4 +1,6 @@
-"""What is published and what is measured of a run: messages, changes, reactions, violations and metrics.
+"""What is published and what is measured of a run.
+
+Messages, changes, reactions, violations and metrics.
 
 The messages of the monitors are plain data in the shape of ROS diagnostic_msgs.
 """
@@ -40,7 +42,10 @@ class Message(TypedDict):
 
 
 class Outbox:
-    """Collects messages until they are fetched; calls `hear` with time [s], key and value of each."""
+    """Collects messages until they are fetched.
+
+    Calls `hear` with time [s], key and value of each.
+    """
 
     def __init__(self, hear: Callable[[float, str, str], None]) -> None:
         self._hear = hear
@@ -51,7 +56,10 @@ class Outbox:
         return bool(self._messages)
 
     def publish(self, time: float, name: str, text: str, key: str, value: float | str) -> None:
-        """Publish one status of a kind such as `EA_MEASUREMENT`, now [s]; a number as its `repr`, which is exact."""
+        """Publish one status of a kind such as `EA_MEASUREMENT`, now [s].
+
+        A number as its `repr`, which is exact.
+        """
         written = value if isinstance(value, str) else repr(value)
         self._messages.append(
             {"time": time, "status": [{"name": name, "message": text, "values": {key: written}}]}
@@ -73,7 +81,10 @@ def thruster_words(settings: Settings, fails: bool) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """The activation, deactivation or new parameters of a component: the time [s], and its state from then on."""
+    """The activation, deactivation or new parameters of a component.
+
+    The time [s], and its state from then on.
+    """
 
     time: float
     component: str
@@ -87,21 +98,24 @@ class Change:
 
 @dataclass(frozen=True)
 class Metrics:
-    """Figures of a run up to now: the first two are SUAVE's (kas-lab/suave v1.3.0), the others are our own.
+    """Figures of a run up to now.
+
+    The first two are SUAVE's (kas-lab/suave v1.3.0), the others are our own.
 
     Attributes:
-        search_time_s: Whole seconds [s] from when the measuring node received GUIDED until the pipeline was found;
-            None before. For a run that never finds it, SUAVE reports the duration of the mission.
-        distance_inspected_m: Sum of the xy distances between consecutive points of the path that were reached [m];
-            reset to 0 whenever the follower is activated.
-        total_inspected_m: The same sum, never reset [m]. Each stretch of the path counts once; ways to and from the
-            path do not count.
+        search_time_s: Whole seconds [s] from when the measuring node received GUIDED until the
+            pipeline was found; None before. For a run that never finds it, SUAVE reports the
+            duration of the mission.
+        distance_inspected_m: Sum of the xy distances between consecutive points of the path that
+            were reached [m]; reset to 0 whenever the follower is activated.
+        total_inspected_m: The same sum, never reset [m]. Each stretch of the path counts once; ways
+            to and from the path do not count.
         found_s: Time since GUIDED at which the pipeline was found [s]; None before.
         violation_s: Time for which at least one violation held [s]: see `Violations`.
         uncorrected: How many of these violations were never corrected.
         switches: How often a component was activated, deactivated or given other parameters.
-        energy_j: Least energy that the thrusters have put into the water [J]: the power of an ideal propeller,
-            `|T|^1.5 / sqrt(2 rho A)`, summed over time.
+        energy_j: Least energy that the thrusters have put into the water [J]: the power of an ideal
+            propeller, `|T|^1.5 / sqrt(2 rho A)`, summed over time.
     """
 
     search_time_s: int | None
@@ -115,11 +129,13 @@ class Metrics:
 
 
 class Violations:
-    """Records violations of the mission's requirements, by the truth and not by what the monitors publish.
+    """Records violations of the mission's requirements, by the truth.
 
-    There are three kinds: the search is active at another altitude than the visibility requires; a thruster is stuck;
-    the battery is below a quarter and the recharge is not active. A violation is corrected if a change of the vehicle
-    ends it; it is uncorrected if it ends because the sea changes back, or lasts to the end.
+    There are three kinds: the search is active at another altitude than the visibility requires; a
+        thruster is stuck;
+    the battery is below a quarter and the recharge is not active. A violation is corrected if a
+    change of the vehicle ends it; it is uncorrected if it ends because the sea changes back, or
+    lasts to the end.
     """
 
     def __init__(self) -> None:
@@ -129,7 +145,10 @@ class Violations:
         self._missed = 0
 
     def note(self, time: float, kind: str, holds: bool, corrected: bool) -> None:
-        """Record whether a violation of a kind holds at a time [s]; `corrected` counts when it has just ended."""
+        """Record whether a violation of a kind holds at a time [s].
+
+        `corrected` counts when it has just ended.
+        """
         if holds == (kind in self._open):
             return
         if holds:
@@ -156,9 +175,10 @@ class Reaction:
     """The reaction to an uncertainty.
 
     Attributes:
-        uncertainty: "U1", a thruster has failed; ends when the recovery is active. "U2", the search altitude is not
-            the one that the visibility requires; ends when it is. "U3", the battery is below a quarter; ends when the
-            recharge is active. The names are those of the ROSA paper.
+        uncertainty: "U1", a thruster has failed; ends when the recovery is active. "U2", the search
+            altitude is not the one that the visibility requires; ends when it is. "U3", the battery
+            is below a quarter; ends when the recharge is active. The names are those of the ROSA
+            paper.
         start_s: Stamp of the first message that reports it [s].
         end_s: Time at which the reaction is in force [s].
     """
@@ -174,9 +194,10 @@ class Reaction:
 
 
 class Reactions:
-    """Finds reactions in the messages and the changes of components, by the rules of SUAVE's mission metrics (v1.3.0).
+    """Finds reactions by the rules of SUAVE's mission metrics (v1.3.0).
 
-    An uncertainty without an answer gives no reaction; a low battery cancels a U2 that is still open.
+    An uncertainty without an answer gives no reaction; a low battery cancels a U2 that is still
+    open.
 
     Args:
         altitude: Altitude to which the search is set at the start [m].
@@ -224,7 +245,7 @@ class Reactions:
 
 
 def mean_reactions(reactions: Iterable[Reaction]) -> dict[str, float | None]:
-    """Return the mean delay for each uncertainty [s], None if there was no reaction, named as in a report."""
+    """Return the mean delay for each uncertainty [s]; None if there was no reaction."""
     delays: dict[str, list[float]] = {"u1": [], "u2": [], "u3": []}
     for reaction in reactions:
         delays[reaction.uncertainty.lower()].append(reaction.delay_s)

@@ -6,16 +6,22 @@ from itertools import pairwise
 from suave_env.settings import Settings
 
 THRESHOLDS_M = (3.25, 2.25)
-"""Visibilities [m] at which the highest useful search altitude changes (3, 2, 1 m); from kas-lab/suave v1.3.0."""
+"""Visibilities [m] at which the highest useful search altitude changes (3, 2, 1 m); from
+kas-lab/suave v1.3.0."""
 
 
 def expected_altitude(visibility: float) -> float:
-    """Return the altitude [m] at which to search in water of some visibility [m]; from kas-lab/suave v1.3.0."""
+    """Return the altitude [m] at which to search in water of some visibility [m].
+
+    From kas-lab/suave v1.3.0.
+    """
     return 3.0 if visibility >= THRESHOLDS_M[0] else 2.0 if visibility >= THRESHOLDS_M[1] else 1.0
 
 
 class Water:
-    """Murky water whose visibility rises and falls: `A cos(2 pi (t + shift) / T) + A + min` with `A = (max - min) / 2`.
+    """Murky water whose visibility rises and falls.
+
+    `A cos(2 pi (t + shift) / T) + A + min` with `A = (max - min) / 2`.
 
     The formula is that of kas-lab/suave v1.3.0 (water visibility node).
     """
@@ -32,7 +38,7 @@ class Water:
         return self._amplitude * math.cos(angle) + self._amplitude + self._least
 
     def next_crossing(self, threshold: float, after: float) -> tuple[float, bool] | None:
-        """Return the next time after another [s] at which the visibility crosses a threshold [m], and whether it falls.
+        """Return when the visibility crosses a threshold [m] next [s], and whether it falls.
 
         In closed form; None if it never crosses.
         """
@@ -45,13 +51,14 @@ class Water:
         return (falls, True) if falls < rises else (rises, False)
 
     def _next(self, angle: float, after: float) -> float:
-        """Return the first time [s] clearly after another at which the cosine has an angle [rad]."""
+        """Return the first time [s] after another at which the cosine has an angle [rad]."""
         first = angle / (2 * math.pi) * self._period - self._shift
         return first + (math.floor((after + 1e-6 - first) / self._period) + 1) * self._period
 
 
 SEABED_Z_M = -20.0
-"""Height of the flat seabed [m], world frame z up; the constant that every motion node of kas-lab/suave v1.3.0 uses."""
+"""Height of the flat seabed [m], world frame z up; the constant that every motion node of
+kas-lab/suave v1.3.0 uses."""
 
 VERTICES_M = (
     (-15.0, 0.0),
@@ -61,7 +68,8 @@ VERTICES_M = (
     (-44.49, -8.07),
     (-51.56, -15.14),
 )
-"""Origins (x, y) of the six pipes [m], world frame ENU, in the order received; remaro_worlds 2650f19."""
+"""Origins (x, y) of the six pipes [m], world frame ENU, in the order received; remaro_worlds
+2650f19."""
 
 _STEPS_PER_EDGE = 20
 
@@ -69,7 +77,8 @@ _STEPS_PER_EDGE = 20
 class Pipeline:
     """The pipeline as the 100 points that the detection of kas-lab/suave v1.3.0 interpolates.
 
-    Every edge between two pipe origins is divided in 20 equal steps, of which the end points are kept.
+    Every edge between two pipe origins is divided in 20 equal steps, of which the end points are
+    kept.
 
     Attributes:
         points: The points (x, y) [m], world frame ENU.
@@ -91,9 +100,9 @@ class Pipeline:
     def first_visible(self, x: float, y: float, z: float, visibility: float) -> int | None:
         """Return the smallest index of a point that the camera sees.
 
-        A point is seen if `|dx|` and `|dy|` are at most `h tan(half angle)`, where `h = |dz|`, and `h` is at most the
-        visibility [m]: a square field of view that does not turn with the vehicle (kas-lab/suave v1.3.0), which is at
-        (x, y, z) [m], world frame ENU, z up.
+        A point is seen if `|dx|` and `|dy|` are at most `h tan(half angle)`, where `h = |dz|`, and
+        `h` is at most the visibility [m]: a square field of view that does not turn with the
+        vehicle (kas-lab/suave v1.3.0), which is at (x, y, z) [m], world frame ENU, z up.
 
         Returns:
             An index into `points`, or None if no point is seen.
@@ -110,9 +119,12 @@ class Pipeline:
         return None
 
     def path_from(self, index: int) -> tuple[tuple[float, float], ...]:
-        """Return the path of an inspection begun at the point that was seen first: points (x, y) [m].
+        """Return the path of an inspection begun at the point that was seen first.
 
-        From that point to the far end, then all of them back to the near end, the far end twice (kas-lab/suave v1.3.0).
+        Points (x, y) [m].
+
+        From that point to the far end, then all of them back to the near end, the far end twice
+        (kas-lab/suave v1.3.0).
         """
         return self.points[index:] + self.points[::-1]
 

@@ -1,4 +1,7 @@
-"""The constants of the simulated sea; `settings.toml` has the unit, the meaning and the source of each."""
+"""The constants of the simulated sea.
+
+`settings.toml` has the unit, the meaning and the source of each.
+"""
 
 import dataclasses
 import difflib
@@ -12,11 +15,17 @@ from typing import Any, Final, NamedTuple
 
 
 class SuaveEnvError(Exception):
-    """Base of every error of this package; the message says what was given, what is allowed and what exists."""
+    """Base of every error of this package.
+
+    The message says what was given, what is allowed and what exists.
+    """
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> SuaveEnvError:
-    """Make the error for a name that does not exist; it lists the nearest known names, or all if none is near."""
+    """Make the error for a name that does not exist.
+
+    It lists the nearest known names, or all if none is near.
+    """
     names = list(known)
     near = difflib.get_close_matches(str(name), names, n=3)
     hint = (
@@ -52,8 +61,10 @@ class ThrusterEvent(NamedTuple):
 class Settings:
     """The constants of the sea, the vehicle and the mission; frozen, so change them with `replace`.
 
-    Frames: world frame ENU, z up, surface at z = 0. Times [s] count from GUIDED, the moment at which the vehicle obeys.
-    By default the rules are those of SUAVE v1.3.0 of 2024; `replace(rules="2025")` takes those of 2025 (`RULES`).
+    Frames: world frame ENU, z up, surface at z = 0. Times [s] count from GUIDED, the moment at
+        which the vehicle obeys.
+    By default the rules are those of SUAVE v1.3.0 of 2024; `replace(rules="2025")` takes those of
+    2025 (`RULES`).
     """
 
     rules: str = _setting("rules")
@@ -189,9 +200,9 @@ class Settings:
         """Return settings with some values changed.
 
         Args:
-            **changes: New values by name. New rules change every setting in which they differ and which is not among
-                the changes. A start or a bias is the same in every run, unless its standard deviation is among the
-                changes too.
+            **changes: New values by name. New rules change every setting in which they differ and
+                which is not among the changes. A start or a bias is the same in every run, unless
+                its standard deviation is among the changes too.
 
         Raises:
             SuaveEnvError: If a name is unknown, or a value is not allowed or at odds with another.
@@ -229,7 +240,8 @@ def parse_thruster_events(text: str, chained: bool = False) -> tuple[ThrusterEve
     for part in filter(None, (" ".join(one.split()) for one in text.split(","))):
         read = _EVENT.fullmatch(part)
         if read is None:
-            allowed = 'events such as "1 failure 35, 1 recovery 90": thruster 1 to 6, what happens, time [s]'
+            example = '"1 failure 35, 1 recovery 90"'
+            allowed = f"events such as {example}: thruster 1 to 6, what happens, time [s]"
             raise SuaveEnvError(f"thruster_events cannot be {text!r}; allowed are {allowed}")
         time = float(read[3]) + (time if chained else 0.0)
         events.append(ThrusterEvent(int(read[1]), read[2] == "failure", time))

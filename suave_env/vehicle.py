@@ -1,4 +1,6 @@
-"""The BlueROV2 in the water: its six thrusters, its hull, which MuJoCo simulates, and the autopilot that flies it.
+"""The BlueROV2 in the water.
+
+Its six thrusters, its hull, which MuJoCo simulates, and the autopilot that flies it.
 
 A setpoint becomes a jerk-limited move, a wanted force and six thrusts, every control period.
 """
@@ -18,7 +20,8 @@ Vector = tuple[float, float, float]
 """East, north, up: world frame ENU, z up."""
 
 COUNT = 6
-"""Number of thrusters: 1 front right, 2 front left, 3 rear right, 4 rear left, 5 right and 6 left vertical."""
+"""Number of thrusters: 1 front right, 2 front left, 3 rear right, 4 rear left, 5 right and 6 left
+vertical."""
 
 _COSINE = 0.7071067811865476
 _YAW_ARM_M = 0.1676  # mean of the arms of the front pair (0.164 m) and the rear pair (0.171 m)
@@ -39,7 +42,8 @@ _log = logging.getLogger(__name__)
 class Thrusters:
     """Shares a wanted force among the thrusters; the mixer knows nothing of failures.
 
-    A failed thruster is frozen at its last output: with its servo function set to 0, ArduPilot stops writing the
+    A failed thruster is frozen at its last output: with its servo function set to 0, ArduPilot
+        stops writing the
     channel, and the simulated motor keeps pushing (kas-lab/suave v1.3.0).
 
     Attributes:
@@ -50,7 +54,8 @@ class Thrusters:
     def __init__(self, settings: Settings) -> None:
         self.outputs = [0.0] * COUNT
         self.energy_j = 0.0
-        # an actuator disc of area A takes |T|^1.5 / sqrt(2 rho A) to push still water of density rho
+        # an actuator disc of area A takes |T|^1.5 / sqrt(2 rho A) to push still water of density
+        # rho
         self._power = 1 / math.sqrt(2 * _DENSITY_KG_M3 * math.pi / 4 * settings.propeller_m**2)
         self._limit = settings.thrust_limit_n
         self._stuck: dict[int, float] = {}
@@ -76,13 +81,15 @@ class Thrusters:
         turn: float,
         duration: float = 0.0,
     ) -> list[float]:
-        """Share a wanted force and torque among the thrusters, count the energy of a duration [s], return the outputs.
+        """Share a wanted force and torque among the thrusters, and count the energy.
 
-        The shares are those of the "vectored" frame of ArduPilot's Sub, for thrusts along the directions of the model.
-        Forces along x, y and z of the body frame [N]; torques about its x and z [N m], a turn positive to the left.
+        The shares are those of the "vectored" frame of ArduPilot's Sub, for thrusts along the
+        directions of the model. Forces along x, y and z of the body frame [N]; torques about its x
+        and z [N m], a turn positive to the left.
 
         Returns:
-            The six outputs [N]. Beyond the limit, the thrusts of a group are scaled together: the direction stays.
+            The six outputs [N]. Beyond the limit, the thrusts of a group are scaled together: the
+            direction stays.
         """
         forward = forward / (4 * _COSINE)
         left = left / (4 * _COSINE)
@@ -116,26 +123,28 @@ class Thrusters:
 
 
 class Vehicle:
-    """A rigid body with six thrusters, buoyancy at the centre of buoyancy and quadratic drag along and about its axes.
+    """A rigid body with six thrusters, buoyancy and quadratic drag.
 
-    Drag along each body axis is `-D |v| v` without added mass or linear damping, as in clydemcqueen/bluerov2_ignition.
-    It is an actuator whose force is `-D v ctrl`, with `ctrl = |v|` at the start of a control period: MuJoCo treats `v`
-    implicitly, so drag can only take energy out.
+    Drag along each body axis is `-D |v| v` without added mass or linear damping, as in
+    clydemcqueen/bluerov2_ignition. It is an actuator whose force is `-D v ctrl`, with `ctrl = |v|`
+    at the start of a control period: MuJoCo treats `v` implicitly, so drag can only take energy
+        out.
 
     Args:
         settings: Mass, inertia, buoyancy, drag, thrust limit and the physics step.
         x, y, z: Start position [m], world frame ENU, z up.
 
     Attributes:
-        state: Two functions: of position [m] and quaternion (w, x, y, z), (7,), and of velocity [m/s] and angular
-            velocity [rad/s], (6,), the last in the body frame, x forward, y left, all others in the world frame ENU, z
-            up; for loops in which an attribute costs too much.
+        state: Two functions: of position [m] and quaternion (w, x, y, z), (7,), and of velocity
+            [m/s] and angular velocity [rad/s], (6,), the last in the body frame, x forward, y left,
+            all others in the world frame ENU, z up; for loops in which an attribute costs too much.
     """
 
     def __init__(self, settings: Settings, x: float, y: float, z: float) -> None:
         import mujoco  # takes long, and settings do not need it
 
-        # MuJoCo's own handler prints, and writes a file into the working directory; the autopilot raises what matters
+        # MuJoCo's own handler prints, and writes a file into the working directory; the autopilot
+        # raises what matters
         mujoco.set_mju_user_warning(_log.debug)
         self.model: Any = _compiled(mujoco, settings)
         for name in _UNUSED:
@@ -177,7 +186,8 @@ class Vehicle:
 def floated(settings: Settings, time_s: float) -> float:
     """Return how far the vehicle, which is lighter than water, rises by itself in a time [m].
 
-    It rises at the speed at which drag equals the surplus of buoyancy, which it reaches within a second.
+    It rises at the speed at which drag equals the surplus of buoyancy, which it reaches within a
+    second.
     """
     surplus = (settings.displaced_mass_kg - settings.mass_kg) * settings.gravity_m_s2
     if not settings.drag_heave:
@@ -219,11 +229,12 @@ def _compiled(mujoco: Any, settings: Settings) -> Any:  # noqa: ANN401 - MuJoCo 
 
 
 class SCurve:
-    """A move over a length that starts and ends at rest, within limits on speed, acceleration and jerk.
+    """A move from rest to rest, within limits on speed, acceleration and jerk.
 
-    The speed-up has three phases of constant jerk: `+J` for `tj`, 0 for `ta`, `-J` for `tj`. It reaches the peak speed
-    `J tj (tj + ta)`; its length is half of the peak speed times `2 tj + ta`. After cruising, the slow-down mirrors it.
-    `tj`, then `ta`, are the longest that the limits and the length allow.
+    The speed-up has three phases of constant jerk: `+J` for `tj`, 0 for `ta`, `-J` for `tj`. It
+    reaches the peak speed `J tj (tj + ta)`; its length is half of the peak speed times `2 tj + ta`.
+    After cruising, the slow-down mirrors it. `tj`, then `ta`, are the longest that the limits and
+    the length allow.
 
     Args:
         length: Length [m], from 0.
@@ -284,12 +295,14 @@ class SCurve:
 class Guidance:
     """Flies to setpoints, our own simplification of the GUIDED mode of ArduPilot's Sub.
 
-    A new setpoint begins a jerk-limited move from rest to rest, in a straight line from the stopping point `p + v / k`
-    to the setpoint. Position gain `k` and a first-order velocity loop of time constant `tau` follow it:
+    A new setpoint begins a jerk-limited move from rest to rest, in a straight line from the
+    stopping point `p + v / k` to the setpoint. Position gain `k` and a first-order velocity loop of
+    time constant `tau` follow it:
 
         `v_wanted = v_move + k (p_move - p)`,  `F = m / tau (v_wanted - v) + integral`
 
-    Whoever applies the force adds the vehicle's drag, so that the loop has the lag `tau` at every speed.
+    Whoever applies the force adds the vehicle's drag, so that the loop has the lag `tau` at every
+    speed.
     """
 
     def __init__(self, settings: Settings, position: Vector) -> None:
@@ -305,7 +318,7 @@ class Guidance:
         self.go_to(position, position, (0.0, 0.0, 0.0), 0.0)
 
     def go_to(self, target: Vector, position: Vector, velocity: Vector, time: float) -> None:
-        """Begin a move to a setpoint [m] from where the vehicle is [m] and how fast it moves [m/s], now [s]."""
+        """Begin a move to a setpoint [m] from a position [m] and velocity [m/s], now [s]."""
         origin = self.stopping_point(position, velocity)
         dx, dy, dz = (end - start for end, start in zip(target, origin, strict=True))
         length = math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -323,7 +336,7 @@ class Guidance:
     def force(
         self, position: list[float], velocity: list[float], time: float, duration: float
     ) -> Vector:
-        """Return the wanted force [N], world frame ENU, z up, to be held for a duration [s] from now [s].
+        """Return the wanted force [N], world frame ENU, z up, for a duration [s] from now [s].
 
         It reads the first three numbers of position [m] and velocity [m/s].
         """
@@ -384,7 +397,10 @@ class Autopilot:
 
     @property
     def position(self) -> Vector:
-        """Position [m], world frame ENU, z up; extrapolated at constant velocity between two control periods."""
+        """Position [m], world frame ENU, z up.
+
+        Extrapolated at constant velocity between two control periods.
+        """
         pose_of, motion_of = self._vehicle.state
         x, y, z, *_ = pose_of()
         vx, vy, vz, *_ = motion_of()
@@ -426,7 +442,7 @@ class Autopilot:
             if not isfinite(x + vx):
                 when = f"{count * period:.3f} s"
                 raise SuaveEnvError(
-                    f"the simulation became unstable after {when}; a setting is far from its default"
+                    f"the simulation became unstable after {when}; a setting is too far off"
                 )
             east, north, up = guide(pose, motion, (count + 0.5) * period, period)
             yaw = atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))

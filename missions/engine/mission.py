@@ -23,7 +23,7 @@ from missions.engine.settings import MissionError as MissionError
 from missions.engine.settings import RunSettings, declared, full_names, near, read_values
 from missions.engine.settings import Setting as Setting
 from rosa_bt.exceptions import line_in_words
-from rosa_pddl.exceptions import RosaPddlError
+from rosa_pddl.domain import RosaPddlError
 
 if TYPE_CHECKING:
     from numpy.random import Generator

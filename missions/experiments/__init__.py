@@ -1,1 +1,4 @@
-"""Many runs and what came of them: campaigns and their reports, and what it takes to write a model."""
+"""Many runs and what came of them.
+
+Campaigns and their reports, and what it takes to write a model.
+"""

@@ -23,10 +23,12 @@ FAULTS: Final = "faults"
 
 @dataclass(frozen=True, slots=True)
 class PlannedRun:
-    """One run of a campaign. `settings` are those that are not default; `task` is None if the manager has its own.
+    """One run of a campaign. `settings` are those that are not default.
 
-    The n-th run has the same seed under every manager, so that they meet the same world. `place` is its index among
-    the runs of the campaign.
+    `task` is None if the manager has its own.
+
+    The n-th run has the same seed under every manager, so that they meet the same world. `place` is
+    its index among the runs of the campaign.
     """
 
     mission: str
@@ -82,7 +84,9 @@ class PlannedRun:
 
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """Every mission with every manager, task layer, set of settings and seed; the fields are the keys of its file.
+    """Every mission with every manager, task layer, set of settings and seed.
+
+    The fields are the keys of its file.
 
     Attributes:
         name: of its folder of results.
@@ -91,8 +95,8 @@ class Campaign:
         tasks: task layers for our manager, "bt" and "pddl"; the other managers bring their own.
         runs: how many of each combination.
         first_seed: the seed of the first run of each; the next ones follow.
-        settings: those that differ from the defaults in all runs; "faults" has the faults to inject, such as
-            "fail boom@60; recover boom@90".
+        settings: those that differ from the defaults in all runs; "faults" has the faults to
+            inject, such as "fail boom@60; recover boom@90".
         cases: sets of settings, each combined with everything else.
         sweep: values by name of a setting; all combinations are run.
     """
@@ -145,7 +149,10 @@ class Campaign:
 
 
 def paper_table(runs: int = 100) -> Campaign:
-    """Return the campaign behind the table of the ROSA paper: both missions under every manager, rules of 2024."""
+    """Return the campaign behind the table of the ROSA paper.
+
+    Both missions under every manager, rules of 2024.
+    """
     missions = ("suave", "suave_extended")
     published = {"late_boot_share": "0.015"}  # fitted to the published deviations, see docs/sea.md
     return Campaign(
@@ -154,7 +161,10 @@ def paper_table(runs: int = 100) -> Campaign:
 
 
 def read_campaign(path: Path) -> Campaign:
-    """Read a campaign from a TOML file; raises MissionError if it cannot be read, or says what is not expected."""
+    """Read a campaign from a TOML file.
+
+    Raises MissionError if it cannot be read, or says what is not expected.
+    """
     with files_tried(f"read {path}"):
         content = path.read_bytes()
     try:
@@ -216,7 +226,9 @@ _KEYS: Final[Mapping[str, tuple[Callable[[Any], bool], str]]] = {
 
 
 def from_data(data: Mapping[str, Any], source: str) -> Campaign:
-    """Make a campaign from plain data: its fields by name; `rules` is short for the setting of that name.
+    """Make a campaign from plain data: its fields by name.
+
+    `rules` is short for the setting of that name.
 
     Raises:
         MissionError: a key or value is not what is expected; the message names the source.
@@ -255,7 +267,10 @@ def _text(value: object) -> str:
 
 
 def check_campaign(campaign: Campaign) -> None:
-    """Open one run of each combination to check it; MissionError if something does not exist or is not allowed."""
+    """Open one run of each combination to check it.
+
+    MissionError if something does not exist or is not allowed.
+    """
     for task in campaign.tasks:
         check_task(task)
     for name, settings, layer in product(campaign.missions, campaign.variants, campaign.layers):

@@ -1,4 +1,4 @@
-"""The runs of a campaign in groups to compare, the published figures, and the statistics of samples."""
+"""The runs of a campaign in groups, the published figures, and statistics."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,7 +19,8 @@ INPUT: Final = "input_from_paper_"
 
 
 Published = dict[str, tuple[float, ...]]
-"""Of a row of the paper's table: by figure the mean and standard deviation, by uncertainty the mean reaction [s]."""
+"""Of a row of the paper's table: by figure the mean and standard deviation, by uncertainty the mean
+reaction [s]."""
 
 
 def _row(
@@ -42,7 +43,10 @@ PAPER: Final = {
 
 @dataclass
 class Group:
-    """The runs of one manager that did not crash; `task` is the task layer of ours, None for other managers."""
+    """The runs of one manager that did not crash.
+
+    `task` is the task layer of ours, None for other managers.
+    """
 
     mission: str
     manager: str
@@ -134,7 +138,7 @@ def comparisons(results: Results) -> list[Comparison]:
 
 
 class Interval(NamedTuple):
-    """An estimate from a sample, the ends of its 95 % confidence interval, and p of the test that it is 0."""
+    """An estimate, the ends of its 95 % confidence interval, and p of the test that it is 0."""
 
     estimate: float
     low: float
@@ -146,7 +150,10 @@ class Interval(NamedTuple):
 
 
 def mean_of(values: Values) -> Interval:
-    """Return the mean of at least two values with Student's interval; of differences, it is the paired test."""
+    """Return the mean of at least two values with Student's interval.
+
+    Of differences, it is the paired test.
+    """
     from scipy.stats import t
 
     mean = float(np.mean(values))

@@ -1,6 +1,7 @@
-"""Learn from runs: how fast attributes change while actions are done, and how long actions take, with intervals.
+"""Learn from runs how fast attributes change and how long actions take.
 
-Intervals are Student's, of the means of whole runs, because the measurements within a run are not independent.
+Intervals are Student's, of the means of whole runs, because the measurements within a run are not
+independent.
 """
 
 import math
@@ -30,7 +31,10 @@ Runs = Mapping[str, Sequence[Event]]
 
 
 class Spread(NamedTuple):
-    """A mean, its interval, and the number of observations; the bounds of a single one are infinite."""
+    """A mean, its interval, and the number of observations.
+
+    The bounds of a single one are infinite.
+    """
 
     value: float
     low: float
@@ -54,7 +58,8 @@ class Spread(NamedTuple):
     def __str__(self) -> str:
         if self.observations == 1:
             return f"{self.value:.4g} (1 observation: no interval)"
-        return f"{self.value:.4g} ({self.low:.4g} to {self.high:.4g}, {self.observations} observations)"
+        bounds = f"{self.low:.4g} to {self.high:.4g}"
+        return f"{self.value:.4g} ({bounds}, {self.observations} observations)"
 
 
 class Learned(NamedTuple):
@@ -99,7 +104,7 @@ def learn(runs: Runs, model: Model) -> list[Learned]:
 
 
 def _slopes(events: Sequence[Event], attribute: Attribute) -> dict[str, float]:
-    """Return the mean rate of change of an attribute in a run, by the action that was done alone."""
+    """Return the mean rate of change of an attribute, by the action that was done alone."""
     doing: dict[str, None] = {}
     points: list[tuple[frozenset[str], float, float]] = []
     for event in events:
@@ -139,7 +144,10 @@ def _inside(series: Series, low: float, high: float) -> Iterator[Series]:
 
 
 def _rates(attribute: Attribute, slopes: Sequence[dict[str, float]]) -> Iterator[Learned]:
-    """Yield the rates of an attribute by action; one rate for all actions if they make no difference."""
+    """Yield the rates of an attribute by action.
+
+    One rate for all actions if they make no difference.
+    """
     if attribute.kind is AttributeKind.ENVIRONMENTAL and not attribute.rates:
         return  # the robot changes its own qualities, not its surroundings
     by_action: defaultdict[str, list[float]] = defaultdict(list)
@@ -177,7 +185,7 @@ def _durations(runs: Runs) -> Iterator[Learned]:
 
 
 def read_runs(paths: Iterable[Path]) -> Runs:
-    """Read recordings, and repeat the runs of campaigns, which depend only on their names and the code.
+    """Read recordings, and repeat the runs of campaigns.
 
     Raises:
         MissionError: nothing can be learned from one of them; the message says why.

@@ -1,4 +1,4 @@
-"""The report on a campaign: our figures beside the published ones, tests, distributions and reaction times."""
+"""The report on a campaign: our figures beside the published ones, and tests."""
 
 import base64
 import html
@@ -53,8 +53,9 @@ LEAST_RUNS: Final = 5
 """Fewer runs have no interval and are not compared: it would say nothing."""
 METHOD: Final = (
     "Intervals: 95 %, Student's.",
-    "Differences: of runs with the same seed, with the interval and p of Student's paired test; p is corrected by "
-    f"Holm's method for all tests of a table. Fewer than {LEAST_RUNS} runs are not compared.",
+    "Differences: of runs with the same seed, with the interval and p of Student's paired test; "
+    "p is corrected by Holm's method for all tests of a table. "
+    f"Fewer than {LEAST_RUNS} runs are not compared.",
     "A search that never succeeds counts as long as the mission, as in SUAVE.",
     "Published: the table of the ROSA paper, 100 runs each.",
 )
@@ -100,7 +101,8 @@ class Document:
             data = f"data:image/svg+xml;base64,{base64.b64encode(picture).decode()}"
             body = body.replace(f'src="{name}"', f'src="{data}"')
         head = (
-            '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+            '<meta charset="utf-8">'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">'
             f"<title>{html.escape(self._title)}</title><style>{CSS}</style>"
         )
         page = f'<html lang="en"><head>{head}</head>\n<body>\n{body}</body></html>'
@@ -108,7 +110,7 @@ class Document:
 
 
 def write_report(results: Results, folder: Path, *, figures: Sequence[str] = ()) -> list[Path]:
-    """Write the report on a campaign as report.md and report.html with their pictures, and return the files.
+    """Write the report as report.md and report.html with pictures; return the files.
 
     Managers are compared by `figures`; by default the published ones, or else the first two.
 
@@ -217,7 +219,7 @@ def _add_reactions(document: Document, comparison: Comparison) -> None:
 def _add_differences(
     document: Document, comparison: Comparison, headlines: Mapping[str, str]
 ) -> None:
-    """Compare ours with each other manager, or, without ours, all pairs, by runs with the same seed."""
+    """Compare ours with each other manager, or else all pairs, by runs with one seed."""
     pairs = [(later, earlier) for earlier, later in combinations(comparison.groups, 2)]
     pairs = [pair for pair in pairs if OURS in (pair[0].manager, pair[1].manager)] or pairs
     rows = []

@@ -1,4 +1,4 @@
-"""The folder of a campaign: a file with a line for each run, written when it is done, and the tables of runs."""
+"""The folder of a campaign: a line for each run that is done, and the table of runs."""
 
 import csv
 import fcntl
@@ -55,7 +55,10 @@ class Outcome:
 
 @cache
 def provenance() -> Mapping[str, str]:
-    """Return what results depend on besides the name of the run: versions, and a fingerprint of our code."""
+    """Return what results depend on besides the name of the run.
+
+    Versions, and a fingerprint of our code.
+    """
     digest = hashlib.sha256()
     root = Path(__file__).parents[2]
     for package in PACKAGES:
@@ -209,7 +212,7 @@ def _begin(folder: Path, campaign: Campaign) -> None:
 
 
 def _check_same(folder: Path, campaign: Campaign | None) -> None:
-    """Raise MissionError if a folder holds another campaign than the one asked for, or was begun by other versions."""
+    """Raise MissionError if a folder holds another campaign, or other versions began it."""
     results = Results(folder)
     kept = asdict(results.campaign)
     if campaign is None and (own := ", ".join(results.campaign.own_modules)):

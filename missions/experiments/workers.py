@@ -34,7 +34,9 @@ _ALONE = threading.Lock()
 
 
 def do(run: PlannedRun) -> Outcome:
-    """Do a run and return its outcome, times in [s]; an exception of the run is part of the outcome.
+    """Do a run and return its outcome, times in [s].
+
+    An exception of the run is part of the outcome.
 
     A process does one run at a time, because the blackboard of py_trees belongs to the process.
     """
@@ -65,7 +67,7 @@ def _head(run: PlannedRun) -> dict[str, Any]:
 
 
 class Workers(NamedTuple):
-    """Who does the runs: how many at once, what opens an executor, and what it raises when a process dies."""
+    """How many runs are done at once, what opens an executor, and what a dead process raises."""
 
     size: int
     open: Callable[[], Executor]
@@ -93,7 +95,9 @@ def cluster(address: str) -> Workers:
     try:
         client = Client(address, timeout=TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
-        advice = f"start one with `dask scheduler`, and workers with `dask worker {address} --nthreads 1`"
+        advice = (
+            f"start one with `dask scheduler`, workers with `dask worker {address} --nthreads 1`"
+        )
         raise MissionError(f"there is no scheduler at {address}: {error}; {advice}") from error
     count = len(client.scheduler_info(n_workers=-1)["workers"])
     if not count:
@@ -105,7 +109,8 @@ def cluster(address: str) -> Workers:
 def outcomes(runs: Sequence[PlannedRun], workers: Workers) -> Iterator[Outcome]:
     """Do runs and yield the outcome of each as soon as it is known, in no order.
 
-    When a process dies, each run that was under way is repeated alone, which shows the one that kills its process.
+    When a process dies, each run that was under way is repeated alone, which shows the one that
+    kills its process.
     """
     waiting = deque(runs)
     while waiting:
@@ -145,7 +150,7 @@ def _together(
 
 
 def end_with(parent: int) -> None:
-    """Watch the parent from a thread and kill this process when the parent is gone, even if that was killed."""
+    """Kill this process when its parent is gone, even if that was killed."""
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -158,7 +163,9 @@ def end_with(parent: int) -> None:
 def conduct(
     store: Store, folder: Path, workers: Workers, *, retry: bool, progress: "CampaignProgress"
 ) -> list[Path]:
-    """Do every run that is not done yet, with `retry` also those that crashed; write the tables and return them.
+    """Do every run that is not done yet, with `retry` also those that crashed.
+
+    Write the tables and return them.
 
     Raises:
         MissionError: the folder cannot be written, or a worker cannot do missions.

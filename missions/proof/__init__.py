@@ -1,4 +1,4 @@
-"""Explore what a tree, the knowledge base and the manager do in all that can happen, and check what must hold."""
+"""Explore what tree, knowledge base and manager do, and check what must hold."""
 
 from missions.proof.properties import always, eventually, leads_to, never
 from missions.proof.setup import Leaf

@@ -1,6 +1,9 @@
-"""What can happen to a robot: the facts of a model that change, with one value for each difference that values make.
+"""What can happen to a robot.
 
-Facts that make no difference apart are explored as one: of attributes that only violate the constraints of the same
+The facts of a model that change, with one value for each difference that values make.
+
+Facts that make no difference apart are explored as one: of attributes that only violate the
+    constraints of the same
 elements, and of components that the model does not tell apart, only the first changes.
 """
 
@@ -36,7 +39,7 @@ class Facts(NamedTuple):
 
 
 class Change(NamedTuple):
-    """One change of a fact: an attribute is measured or goes stale, a component fails (True) or recovers (False)."""
+    """A change: an attribute is measured or stale, a component fails (True) or recovers."""
 
     name: str
     to: float | bool | str
@@ -67,7 +70,10 @@ def measure(kb: KnowledgeBase, attribute: str, value: Value) -> None:
 
 
 def without_debouncing(model: Model) -> Model:
-    """Let each measurement count at once: hysteresis, dwell and agreement only delay what is explored anyway."""
+    """Let each measurement count at once.
+
+    Hysteresis, dwell and agreement only delay what is explored anyway.
+    """
     for constraint in model.constraints:
         if constraint.hysteresis or constraint.dwell:
             model.change(constraint, hysteresis=0.0, dwell=0.0)
@@ -133,7 +139,10 @@ class Environment:
         return lambda value: len(self.signature(name, value))
 
     def representative(self, name: str, value: Value) -> Value:
-        """Return the value that stands for all with the same signature; for a new one, the value itself."""
+        """Return the value that stands for all with the same signature.
+
+        For a new one, the value itself.
+        """
         signature = self.signature(name, value)
         alike = (each for each in self.values[name] if self.signature(name, each) == signature)
         return next(alike, value)
@@ -144,7 +153,7 @@ class Environment:
         return None if name in self._read else next(fitting, None)
 
     def changes(self, facts: Facts) -> Iterator[tuple[tuple[Change, ...], Facts]]:
-        """Yield the sets of changes that can happen next, beginning with none, and the facts after each."""
+        """Yield the sets of changes that can happen next, and the facts after each."""
         single = []
         for name, present in facts.values:
             single += [Change(name, value) for value in self.values[name] if value != present]
@@ -167,7 +176,8 @@ class Environment:
     def _distinct(self, attribute: Attribute) -> tuple[float, ...]:
         """Return values of an attribute, one for each possible signature."""
         limits = sorted({limit for _, _, limit in self._compared[attribute.name]})
-        low, high = attribute.low, attribute.high
+        low = attribute.low
+        high = attribute.high
         below = (low + limits[0]) / 2 if low > -inf else limits[0] - 1.0
         above = (limits[-1] + high) / 2 if high < inf else limits[-1] + 1.0
         between = [(left + right) / 2 for left, right in pairwise(limits)]

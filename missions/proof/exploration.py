@@ -1,7 +1,7 @@
-"""The graph of all situations that a tree, its knowledge base and the manager can get into, found by running them.
+"""The graph of all situations that tree, knowledge base and manager can get into.
 
-In a round some facts change, the manager takes its turns, the tree is ticked and each leaf answers, and the manager
-takes its turns again.
+In a round some facts change, the manager takes its turns, the tree is ticked and each leaf answers,
+and the manager takes its turns again.
 """
 
 import time
@@ -21,7 +21,10 @@ from rosa_bt.requests import requests_of
 
 
 class Situation(NamedTuple):
-    """The states of the tree and of the knowledge base, and what was brought about; before or after a tick."""
+    """The states of the tree and of the knowledge base, and what was brought about.
+
+    Before or after a tick.
+    """
 
     tree: bytes
     facts: Facts
@@ -32,7 +35,8 @@ class Seen(NamedTuple):
     """What properties look at in a situation.
 
     Attributes:
-        required, unfeasible: the actions that are requested, and those that are although they are unfeasible.
+        required, unfeasible: the actions that are requested, and those that are although they are
+            unfeasible.
         feasible: the actions that could be requested.
         running: the actions of behaviours that run.
         stage: where the sequences with memory have got to.
@@ -50,7 +54,7 @@ class Seen(NamedTuple):
 
 
 class Round(NamedTuple):
-    """A round: what happens, which actions are required though unfeasible before its tick, and what follows."""
+    """A round: what happens, the actions required though unfeasible, and what follows."""
 
     step: Step
     late: tuple[str, ...]
@@ -68,7 +72,8 @@ class Exploration:
     Attributes:
         rig: the parts of the mission; `load` puts them into a situation.
         situations: by number; 0 is the initial one, and those that fewer rounds lead to come first.
-        rounds: by number of the situation, all that may follow it; shorter than `situations` until it is finished.
+        rounds: by number of the situation, all that may follow it; shorter than `situations` until
+            it is finished.
         seen: by number, what properties look at.
         occurring: what was ever selected or required, as kind and name.
         faults: of the manager, in words, each with the fewest rounds that lead there.
@@ -100,7 +105,10 @@ class Exploration:
         self._number(Situation(self._read_tree(), rig.read(), frozenset()), -1, Step())
 
     def explore(self) -> "Exploration":
-        """Explore, breadth first, until all is found, or as much or as long as the setup says; Ctrl-C ends it, too."""
+        """Explore, breadth first, until all is found, or as much or as long as the setup says.
+
+        Ctrl-C ends it, too.
+        """
         begun = time.perf_counter()
         try:
             while not self.is_finished and len(self.situations) < self.rig.setup.most:
@@ -137,7 +145,10 @@ class Exploration:
         return {number for number in ended if not self.misses(number)}
 
     def misses(self, number: int) -> str:
-        """Return in words why the success of the root is not that of the mission; empty if it is."""
+        """Return in words why the success of the root is not that of the mission.
+
+        Empty if it is.
+        """
         if self.rig.setup.goal is not None:
             return ""
         deeds = self.situations[number].deeds
@@ -151,7 +162,10 @@ class Exploration:
         return f"it ends, and nothing has brought about {', '.join(lacking)}" if lacking else ""
 
     def caused(self) -> list[int]:
-        """Return what can be reached if nothing succeeds before the deed that brings it about; the nearest first."""
+        """Return what can be reached if nothing succeeds before the deed that brings it about.
+
+        The nearest first.
+        """
         reached = [0]
         seen = {0}
         for number in reached:
@@ -166,14 +180,17 @@ class Exploration:
         return self.rounds[number] if number < len(self.rounds) else []
 
     def first(self, bad: Iterable[int], what: str) -> Wrong | None:
-        """Return what is wrong in these situations, with the rounds to the nearest of them; None if there is none."""
+        """Return what is wrong in these situations, with the rounds to the nearest of them.
+
+        None if there is none.
+        """
         number = min(bad, default=None)
         return None if number is None else (what, self.path(number))
 
     def reaching(
         self, goals: Iterable[int], *, still: bool = False, within: Collection[int] | None = None
     ) -> set[int]:
-        """Return the goals, and all from which one can be reached by deeds that bring about what succeeds.
+        """Return the goals, and all from which one can be reached by caused successes.
 
         If still, only rounds in which no fact changes count.
         """
@@ -205,7 +222,10 @@ class Exploration:
         return steps[::-1]
 
     def _onward(self, number: int) -> Iterator[Round]:
-        """Yield all rounds that may follow a situation; those that lead to the same are given once."""
+        """Yield all rounds that may follow a situation.
+
+        Those that lead to the same are given once.
+        """
         situation = self.situations[number]
         seen: set[Facts] = set()
         if self.seen[number].is_over:

@@ -1,6 +1,7 @@
-"""The state of a tree: read from its objects as one value that can be compared, and written back in place.
+"""The state of a tree: read from its objects as one value, and written back in place.
 
-Every object keeps its identity, so neither the tree nor what it holds needs to know that it is explored.
+Every object keeps its identity, so neither the tree nor what it holds needs to know that it is
+explored.
 """
 
 import functools
@@ -35,7 +36,8 @@ _IGNORED: Final = {
     *("terminate", "save_progress", "restore_progress", "finish_time", "plans"),
     *("_since", "_halting_since", "_saved_s", "last_event", "reasons", "_planned"),
 }
-"""Attributes that decide nothing: functions, texts, records, and times by a clock that stands still."""
+"""Attributes that decide nothing: functions, texts, records, and times by a clock that stands
+still."""
 _FORGETFUL: Final = (Selector, Sequence, UntilSuccess, ForAction, DoUntilUnfeasible, SafeSwitch)
 """These treat a child that has ended as one that never ran; so do the decorators of py_trees."""
 _CONTAINERS: Final = (list, set, deque, dict)

@@ -136,7 +136,7 @@ def _ends_without(explored: Exploration) -> Wrong | None:
 
 
 def _stuck(explored: Exploration) -> Wrong | None:
-    """Find a situation that leads to no end while facts stay, though another of its stage with equal facts does."""
+    """Find a situation without an end while facts stay, though its stage has an end."""
     ended = {number for number, seen in enumerate(explored.seen) if seen.is_over}
     good = explored.reaching(ended.union(explored.goals, explored.unexplored), still=True)
     here = [
@@ -152,7 +152,7 @@ def _stuck(explored: Exploration) -> Wrong | None:
 
 
 def _dead(explored: Exploration) -> Wrong | None:
-    """Find a situation in which nothing is ever required unless a fact changes that only the robot changes."""
+    """Find a situation in which nothing is required until the robot itself acts."""
     active = {n for n, seen in enumerate(explored.seen) if seen.required or seen.is_over}
     alive = explored.reaching(active.union(explored.unexplored), still=True)
     for number, seen in enumerate(explored.seen):
@@ -164,7 +164,7 @@ def _dead(explored: Exploration) -> Wrong | None:
 
 
 def _able(explored: Exploration, feasible: frozenset[str]) -> set[str]:
-    """Return the feasible actions of the tree that are not behind an unfeasible one in a sequence."""
+    """Return the feasible actions that are not behind an unfeasible one in a sequence."""
     doing = explored.rig.doing
     return {node.action for node in doing if feasible.issuperset([node.action, *_before(node)])}
 
@@ -197,7 +197,7 @@ def _waits(explored: Exploration, number: int, alive: set[int]) -> bool:
 
 
 def _wavering(explored: Exploration) -> Wrong | None:
-    """Find a cycle of different requests while all conditions keep their answer and every action keeps running."""
+    """Find a cycle of different requests while no answer changes."""
     letters = explored.rig.letters
     for kept in "FS":
         onward: dict[int, Round] = {}

@@ -1,6 +1,9 @@
-"""The parts of a mission that is explored, in one situation: knowledge base, manager, and tree with free answers.
+"""The parts of a mission that is explored, in one situation.
 
-The composites, the decorators and the leaves that ask the knowledge base are the real ones, and so is the manager.
+Knowledge base, manager, and tree with free answers.
+
+The composites, the decorators and the leaves that ask the knowledge base are the real ones, and so
+is the manager.
 """
 
 from collections.abc import Callable, Iterable
@@ -62,10 +65,12 @@ class Rig(VisitorBase):
         kb: the knowledge base.
         root: of the tree.
         letters: by name, what leaves and time-outs may answer.
-        others: scripts for the answers that were possible in the last tick but not taken, each once.
+        others: scripts for the answers that were possible in the last tick but not taken, each
+            once.
         answers: what leaves answered in the last tick.
         ticked: the behaviours that were ever ticked.
-        is_caused: whether, in the last tick, nothing succeeded before the deed that brings it about.
+        is_caused: whether, in the last tick, nothing succeeded before the deed that brings it
+            about.
         deeds: what was brought about or is under way, as far as conditions and the goal ask for it.
         requesting: the leaves that request actions by themselves.
 
@@ -133,7 +138,10 @@ class Rig(VisitorBase):
             replace_work(leaf, partial(self._answer, leaf, says, None))
 
     def _usual(self, leaf: Behaviour) -> Leaf:
-        """Return what an undeclared leaf may return; on success, what it makes feasible becomes so."""
+        """Return what an undeclared leaf may return.
+
+        On success, what it makes feasible becomes so.
+        """
         if isinstance(leaf, Timer):
             return Leaf("RS")
         is_of_py_trees = type(leaf).__module__.startswith("py_trees.")
@@ -180,7 +188,10 @@ class Rig(VisitorBase):
         return LETTERS[letter]
 
     def _choose(self, leaf: Behaviour, letters: str) -> str:
-        """Return the answer of a leaf by the script, or else the first letter; asked again, it says the same."""
+        """Return the answer of a leaf by the script, or else the first letter.
+
+        Asked again, it says the same.
+        """
         if leaf not in self.answers:
             place = len(self.answers)
             if place < len(self._script):
@@ -197,7 +208,10 @@ class Rig(VisitorBase):
         return tuple((leaf.name, letter) for leaf, letter in self.answers.items())
 
     def _is_over(self, node: Behaviour, *_: float) -> bool:
-        """Let the time of a decorator be over by now, or not; a child that a delay has begun goes on."""
+        """Let the time of a decorator be over by now, or not.
+
+        A child that a delay has begun goes on.
+        """
         has_begun = node.children[0].status is Status.RUNNING and type(node).__name__ == "Delay"
         return has_begun or self._choose(node, "RS") == "S"
 
@@ -210,7 +224,10 @@ class Rig(VisitorBase):
     # rounds
 
     def begin(self) -> tuple[str, ...]:
-        """Measure the start values and let the manager take its turns; return its faults, in words."""
+        """Measure the start values and let the manager take its turns.
+
+        Return its faults, in words.
+        """
         for name, value in self.setup.start.items():
             self.kb.measure(name, value)
         for name in self.environment.values:
@@ -230,7 +247,10 @@ class Rig(VisitorBase):
         self.deeds |= {f"instead {instead}"} if instead else set()
 
     def settle(self) -> tuple[str, ...]:
-        """Let the manager take its turns until it has nothing to do; return its faults, in words."""
+        """Let the manager take its turns until it has nothing to do.
+
+        Return its faults, in words.
+        """
         kb = self.kb
         faults = []
         try:
@@ -325,7 +345,10 @@ class Rig(VisitorBase):
 
     @property
     def running(self) -> frozenset[str]:
-        """The actions of the behaviours that run; of leaves that request by themselves, all that are requested."""
+        """The actions of the behaviours that run.
+
+        Of leaves that request by themselves, all that are requested.
+        """
         running = {node.action for node in self.doing if node.status is Status.RUNNING}
         if any(leaf.status is Status.RUNNING for leaf in self.requesting):
             running |= set(self.required)
@@ -336,7 +359,10 @@ class Rig(VisitorBase):
         return self.kb.model.attributes[attribute].kind is AttributeKind.QUALITY
 
     def _instead(self, node: Behaviour) -> str:
-        """Return the action whose success a node passes on in place of what it is for; empty if there is none."""
+        """Return the action whose success a node passes on in place of what it is for.
+
+        Empty if there is none.
+        """
         children = node.children[:1] if isinstance(node, DoUntilUnfeasible) else node.children
         for place, child in enumerate(children):
             if child.status is Status.SUCCESS:
@@ -350,7 +376,10 @@ class Rig(VisitorBase):
         return ""
 
     def _serves(self, action: str, wanted: set[str]) -> bool:
-        """Tell whether an action only makes others feasible: it is free of a limit on the robot that they have."""
+        """Tell whether an action only makes others feasible.
+
+        It is free of a limit on the robot that they have.
+        """
         actions = self.kb.actions
         limits = {limit.attribute for name in wanted for limit in actions[name].constraints}
         own = {limit.attribute for limit in actions[action].constraints}

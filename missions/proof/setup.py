@@ -1,4 +1,4 @@
-"""What is verified: a model, a tree, what may happen, which deeds bring about what is sensed, and what must hold."""
+"""What is verified: model, tree, what may happen, causes, and what must hold."""
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -56,7 +56,7 @@ class Causes:
         return frozenset().union(*self.effects.values())
 
     def needed(self, leaf: Behaviour, kb: KnowledgeBase, senses: Senses) -> Predicates:
-        """Return the predicates of which one has to be brought about before a condition can succeed.
+        """Return the predicates of which one is needed before a condition can succeed.
 
         Empty if it may succeed before anything is done, or if that is not known.
         """
@@ -86,7 +86,10 @@ class Causes:
 
 
 def causes_of(mission: Mission) -> Causes:
-    """Return what the actions of a mission bring about, as its PDDL says; nothing if it has none."""
+    """Return what the actions of a mission bring about, as its PDDL says.
+
+    Nothing if it has none.
+    """
     if mission.domain is None or mission.problem is None:
         return Causes()
     domain = mission_domain(mission)
@@ -108,7 +111,7 @@ def causes_of(mission: Mission) -> Causes:
 
 
 def _objects(domain: Domain, schema: Schema, terms: tuple[str, ...]) -> set[str]:
-    """Return the actions that a parameter can be, by the facts of the problem that the conditions ask for."""
+    """Return the actions that a parameter can be, by the facts of the problem."""
     parts = [part for formula in schema.conditions for part in parts_of(formula)]
     kinds = [part[1] for part in parts if part[0] == "atom" and part[2] == terms]
     actions = domain.rosa_actions
@@ -123,7 +126,8 @@ class Leaf:
         answers: letters of "R", "S" and "F"; empty: the leaf works as it is.
         effects: by letter, the attributes that are measured when it returns that, such as
             {"S": {"battery_level": 1.0}}.
-        after: of a condition, the actions or leaves of which one has to be under way before it can succeed.
+        after: of a condition, the actions or leaves of which one has to be under way before it can
+            succeed.
     """
 
     answers: str = "RSF"
@@ -153,8 +157,8 @@ class Setup:
         symmetric: let only the first of several facts that make no difference apart change.
         wanted: further properties; see `always`, `never`, `eventually` and `leads_to`.
         exclusive: groups of actions; at most one of each may be required at a time.
-        goal: holds where the mission has reached its goal; by default what the PDDL file says, or else where the
-            root succeeds, unless what succeeded only makes other actions feasible.
+        goal: holds where the mission has reached its goal; by default what the PDDL file says, or
+            else where the root succeeds, unless what succeeded only makes other actions feasible.
         most: explore about this number of situations at most.
         seconds: explore for about this time at most [s].
     """

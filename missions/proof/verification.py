@@ -1,4 +1,4 @@
-"""Verify a mission: explore it, check what must hold, and say what was found, with the stories that show it."""
+"""Verify a mission: explore it, check what must hold, and report with stories."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -26,8 +26,9 @@ class Consequence:
 
     Attributes:
         facts: the bad facts, in words.
-        reaches: "the goal", "the goal as long as X lasts" if nothing that is possible then restores the quality X,
-            "the goal if it happens later", "nothing", or "not explored" if it never occurred.
+        reaches: "the goal", "the goal as long as X lasts" if nothing that is possible then restores
+            the quality X, "the goal if it happens later", "nothing", or "not explored" if it never
+            occurred.
         actions: the actions that are required meanwhile.
         alike: further components of which the same holds.
     """
@@ -62,7 +63,10 @@ class Proof:
         return [finding for finding in self.findings if finding.holds is False]
 
     def story(self, trail: Iterable[Step], page: Path | None = None) -> list[str]:
-        """Run the rounds of a finding with the real parts, and say what happens; with `page`, write a page of it."""
+        """Run the rounds of a finding with the real parts, and say what happens.
+
+        With `page`, write a page of it.
+        """
         rig = Rig(self.setup)
         lines: list[str] = []
 
@@ -92,7 +96,7 @@ class Proof:
         return lines
 
     def report(self, page: Path) -> None:
-        """Write a page of the first story of a broken finding, or else of how the goal is reached."""
+        """Write a page of the first story, or else of how the goal is reached."""
         goal = min(self.explored.goals.intersection(self.explored.caused()), default=0)
         trails = [finding.trail for finding in self.broken if finding.trail is not None]
         self.story(trails[0] if trails else self.explored.path(goal), page)
@@ -153,10 +157,11 @@ def verify(
     suggest: bool = False,
     **options: Any,  # noqa: ANN401  # of Setup
 ) -> Proof:
-    """Explore a tree with its knowledge base and the manager, and check what holds in all that can happen.
+    """Explore a tree with its knowledge base and the manager, and check what holds.
 
     Args:
-        build_tree: makes the tree, given the knowledge base, and percepts if it takes two arguments.
+        build_tree: makes the tree, given the knowledge base, and percepts if it takes two
+            arguments.
         model: makes the model of the robot.
         suggest: look for what mends a broken tree, see `Finding.advice`.
         options: of `Setup`.
@@ -196,7 +201,7 @@ def prove(setup: Setup, *, suggest: bool = False) -> Proof:
 
 
 def consequences(explored: Exploration) -> list[Consequence]:
-    """Return the consequence of each single bad fact, and of each pair that ends the mission though neither does."""
+    """Return the consequence of each bad fact, and of each pair that ends the mission."""
     environment = explored.rig.environment
     alike = {Change(group[0], True): group[1:] for group in environment.alike}
     single = [*alike, *(Change(name, value) for name, value in environment.worst.items())]

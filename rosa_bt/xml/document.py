@@ -332,13 +332,8 @@ class Document:
                 self.note(root.where, text)
             convert(root, self.note)
         elif version is None:
-            text = 'it has no BTCPP_format; read as version 4: write BTCPP_format="4"'
-            self.note(root.where, text)
-            for element in root.descendants("SubTree"):
-                for name, text in element.ports.items():
-                    if key_of(text, name) is None:
-                        meaning = f"if the file is of version 3, it means {{{text}}}"
-                        self.note(element.where, f"{name}={text!r} is a text; {meaning}")
+            text = "it has no BTCPP_format; read as version 4, in which ports of SubTree are texts"
+            self.note(root.where, f'{text}: write BTCPP_format="4"')
         elif version != "4":
             self.note(root.where, f"it has BTCPP_format {version!r}; read as version 4")
 

@@ -10,8 +10,7 @@ from models import models
 
 from kb import KnowledgeBase, Model, ModelError, Status
 from kb.checks import Severity, rules
-from kb.elements import KINDS
-from kb.facts import RequiredActionFact, StatusFact
+from kb.elements import KINDS, RequiredActionFact, StatusFact
 from kb.planning import by_priority
 
 VALUES = (-0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.5)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from models import KINDS, OPERATORS
 
 from kb import Expression, Model, ModelError, ModelFileError
-from kb import facts as stated
+from kb import elements as stated
 from kb.elements import Rate
 
 ODD = st.sampled_from(

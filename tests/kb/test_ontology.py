@@ -19,7 +19,7 @@ from kb import (
     PriorityPlanner,
     UnknownName,
 )
-from kb.facts import StatusFact
+from kb.elements import StatusFact
 from kb.ontology import ROSA, WORDS, owl_text
 from kb.status import Status
 from missions.engine.mission import MISSIONS, find_mission

@@ -6,8 +6,8 @@ import pytest
 from models import Clock
 
 from kb import InvalidValue, KnowledgeBase, Model, ModelError
+from kb.elements import MeasurementFact
 from kb.events import Event
-from kb.facts import MeasurementFact
 
 
 def boat(**attribute):

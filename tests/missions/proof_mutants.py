@@ -169,7 +169,10 @@ FULL = {
 
 @dataclass
 class Case:
-    """A mission, and which property is broken; `options` are those of `verify`, instead of FULL's."""
+    """A mission, and which property is broken.
+
+    `options` are those of `verify`, instead of FULL's.
+    """
 
     name: str
     build: object
@@ -255,7 +258,8 @@ def beside(policy, *tasks):
     return until(Parallel("both", policy, [*tasks]))
 
 
-ALL, FIRST = ParallelPolicy.SuccessOnAll, ParallelPolicy.SuccessOnOne
+ALL = ParallelPolicy.SuccessOnAll
+FIRST = ParallelPolicy.SuccessOnOne
 CHARGES = {"leaves": {"charge": Leaf(effects={"S": {"energy": 0.625}})}}
 WORKS = {"leaves": {"explore": Leaf("RS")}}
 

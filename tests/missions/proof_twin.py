@@ -1,7 +1,9 @@
-"""A second way to explore, without any cleverness: every situation is reached anew, from the beginning, in new objects.
+"""A second way to explore, without any cleverness.
 
-Nothing is written back, no result is kept for another situation, no status is left out, and every component fails for
-itself. Random small missions are explored in both ways.
+Every situation is reached anew, from the beginning, in new objects.
+
+Nothing is written back, no result is kept for another situation, no status is left out, and every
+component fails for itself. Random small missions are explored in both ways.
 """
 
 from collections import Counter
@@ -23,7 +25,7 @@ from rosa_bt.decorators import UntilSuccess
 
 
 def random_setup(seed):
-    """Return a small mission: two actions, up to three components, one attribute, and any tree of a few nodes."""
+    """Return a small random mission with any tree of a few nodes."""
 
     def model():
         rng = np.random.default_rng(seed)
@@ -55,7 +57,9 @@ def random_setup(seed):
             }
             return ways[int(rng.integers(4))]()
 
-        do, rest, memory = task("do"), task("rest"), bool(rng.random() < 0.5)
+        do = task("do")
+        rest = task("rest")
+        memory = bool(rng.random() < 0.5)
         ways = {
             0: lambda: do_until_unfeasible(do, rest, memory=memory, name="mission"),
             1: lambda: Selector("mission", memory, [do, SuccessIsFailure("on", rest)]),
@@ -71,7 +75,10 @@ def random_setup(seed):
 
 
 def seen(rig):
-    """Return what there is to see in a situation; components that are alike are counted, not named."""
+    """Return what there is to see in a situation.
+
+    Components that are alike are counted, not named.
+    """
     kb = rig.kb
     parts = Counter()
     for name, part in kb.components.items():
@@ -85,7 +92,7 @@ def seen(rig):
 
 
 def key(rig):
-    """Return all that a situation is, as far as the behaviours of these missions remember anything."""
+    """Return all that a situation is, as far as these behaviours remember anything."""
     nodes = [*rig.root.iterate()]
     current = [getattr(node, "current_child", None) for node in nodes]
     places = tuple(None if child is None else nodes.index(child) for child in current)
@@ -100,12 +107,16 @@ class Twin:
         self.situations, self.faults, self.ticked, self.runs = set(), set(), set(), 0
         rig = self.run(())
         self.situations.add(seen(rig))
-        keys, layer = {key(rig)}, [()]
+        keys = {key(rig)}
+        layer = [()]
         for _ in range(rounds):
             layer = [longer for story in layer for longer in self.onward(story, keys)]
 
     def run(self, story, script=()):
-        """Return the rig after a story; in its last tick leaves begin as scripted and go on as they like."""
+        """Return the rig after a story.
+
+        In its last tick leaves begin as scripted and go on as they like.
+        """
         self.runs += 1
         rig = Rig(self.setup)
         self.faults |= set(rig.begin())
@@ -134,7 +145,7 @@ class Twin:
 
 
 def agree(seed, rounds):
-    """Explore a random mission both ways, assert that they agree, and return how many stories the twin has run."""
+    """Explore a random mission both ways, assert that they agree; return the stories run."""
     setup = random_setup(seed)
     found = Exploration(setup).explore()
     twin = Twin(replace(setup, symmetric=False), rounds)

@@ -1,4 +1,7 @@
-"""The same campaign on a cluster: a real scheduler and real workers on this machine, one of which is killed."""
+"""The same campaign on a cluster.
+
+A real scheduler and real workers on this machine, one of which is killed.
+"""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""The report on a campaign: the published table beside ours, and what it says of runs that are missing."""
+"""The report on a campaign: the published table beside ours."""
 
 import re
 import xml.etree.ElementTree

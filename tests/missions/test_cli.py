@@ -246,7 +246,18 @@ def test_recording_carries_the_settings_for_its_replay(rosa, tmp_path):
 def test_help_names_every_option_and_manager():
     environment = {"COLUMNS": "200", "NO_COLOR": "1"}
     shown = CliRunner().invoke(cli.app, ["run", "--help"], env=environment).output
-    options = {"task", "seed", "json", "plot", "timing", "record", "set", "speed", "no-progress"}
+    options = {
+        "task",
+        "seed",
+        "json",
+        "plot",
+        "timing",
+        "record",
+        "set",
+        "speed",
+        "realtime",
+        "no-progress",
+    }
     assert options <= set(re.findall(r"--([\w-]+)", shown))
     assert {OURS, *MANAGERS, *POLICIES} <= set(re.findall(r"\w+", shown))
 

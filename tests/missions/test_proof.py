@@ -1,4 +1,4 @@
-"""Verification: what is wrong is found with a story, what is right is silent, and runs keep what it promises."""
+"""Verification: bugs are found with a story, correct missions are silent, runs agree."""
 
 import json
 from math import inf
@@ -203,7 +203,10 @@ def succeeds(mission, name, value):
     return run.run().success
 
 
-@pytest.mark.parametrize("name", ALONE)
+LONG = [pytest.param(name, marks=pytest.mark.benchmark) for name in ("suave_extended", "uav")]
+
+
+@pytest.mark.parametrize("name", ["suave", *LONG])
 def test_table_of_single_failures_agrees_with_runs(name):
     mission = find_mission(name)
     proof = prove(setup_of(mission, seconds=inf))

@@ -2,7 +2,16 @@
 
 from py_trees.common import Status
 
+from kb import Model
 from rosa_bt import RosaAction
+
+
+def rover():
+    """Return a model with an action that needs light, and one that needs nothing."""
+    model = Model("rover")
+    model.action("scan", constraints=[model.environmental_attribute("light") >= 0.5])
+    model.action("rest")
+    return model
 
 
 class Clock:

@@ -30,10 +30,20 @@ def run(code, board):
         if negation:
             value = float(not value)
         if mask:
-            value = float(int(value) & int(mask))
+            value = float(whole(value) & int(mask))
         if sign in ("+=", "*="):
             value = before + value if sign == "+=" else before * value
-        board[name] = value if before is None else type(before)(value)
+        if type(before) is int:
+            value = whole(value)
+        elif before is not None:
+            value = type(before)(value)
+        board[name] = value
+
+
+def whole(value):
+    if value != int(value):
+        raise Thrown
+    return int(value)
 
 
 def holds(code, board):

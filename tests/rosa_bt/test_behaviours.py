@@ -1,25 +1,18 @@
 """An action is requested when a behaviour starts and released once, however it ends."""
 
 import pytest
+from acting import rover
 from py_trees.common import Status
 
-from kb import KnowledgeBase, Model, UnknownName
+from kb import KnowledgeBase, UnknownName
 from rosa_bt import IsActionFeasible, RosaAction
-
-
-def rover() -> Model:
-    model = Model("rover")
-    light = model.environmental_attribute("light")
-    model.action("scan", constraints=[light >= 0.5])
-    model.action("rest")
-    return model
 
 
 class Scripted(RosaAction):
     """Does what its script says at each tick; an exception in the script is raised."""
 
-    def __init__(self, kb, action, script, raises_in_terminate=False, name=None):
-        super().__init__(name or action, kb, action)
+    def __init__(self, kb, action, script, raises_in_terminate=False):
+        super().__init__(action, kb, action)
         self.script = list(script)
         self.raises_in_terminate = raises_in_terminate
         self.calls = []

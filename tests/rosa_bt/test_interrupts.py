@@ -6,6 +6,7 @@ from itertools import count
 from pathlib import Path
 
 import pytest
+from acting import rover
 from interrupting import interrupted_at
 from py_trees.common import Status
 
@@ -17,30 +18,18 @@ OURS = str(Path(rosa_bt.__file__).parent)
 HERE = __file__
 
 
-def rover() -> Model:
-    model = Model("rover")
-    light = model.environmental_attribute("light")
-    model.action("scan", constraints=[light >= 0.5])
-    model.action("rest")
-    return model
-
-
 class Act(RosaAction):
     """Runs until its script says otherwise, with hooks at every place to interrupt."""
 
     def __init__(self, kb, action, script=()):
         super().__init__(action, kb, action)
         self.script = list(script)
-        self.is_on = False
-
-    def initialise(self):
-        self.is_on = True
 
     def update(self):
         return self.script.pop(0) if self.script else Status.RUNNING
 
     def terminate(self, new_status):
-        self.is_on = False
+        self.script.clear()
 
     def save_progress(self):
         return 1

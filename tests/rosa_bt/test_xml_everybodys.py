@@ -27,7 +27,7 @@ NOTES = {
     ],
     "double_quotes_around_apostrophe": [],
     "raw_ampersands": ["xml: read as it stands"],
-    "no_format": ["1: it has no BTCPP_format; read as version 4", "3: place='dock' is a text"],
+    "no_format": ["1: it has no BTCPP_format; read as version 4"],
     "v3_said": ['4: .*output_key="{bay}" is output_key="bay"', '5: .*place="bay" is place="{bay}"'],
     "v3_subtree_plus": [
         "1: it has no BTCPP_format; read as version 3",

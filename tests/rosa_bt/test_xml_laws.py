@@ -1,6 +1,5 @@
 """What holds for every tree that is read or written, whatever is in it."""
 
-import pytest
 from acting import Clock
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,9 +10,7 @@ from py_trees.decorators import FailureIsSuccess, Inverter, SuccessIsFailure
 from test_xml_twin import ENUMS, START, Grower
 from xml_leaves import Action, Condition, registry_of, trace
 
-from kb import KnowledgeBase, Model
-from rosa_bt import BehaviourRegistry, ForAction, TreeRunner, export_xml, load_xml
-from rosa_bt.xml.nodes import NODES
+from rosa_bt import TreeRunner, export_xml, load_xml
 
 TICKS = 12
 
@@ -125,52 +122,3 @@ def test_exported_py_trees_tree_behaves_as_it_did(drawn):
     before = trace(tree.tick_once, tree, said, TICKS)
     after = load_xml(export_xml(tree, registry), registry)
     assert trace(after.tick_once, after, said, TICKS) == before
-
-
-class Device(Success):
-    """Says what is done with it besides ticks."""
-
-    said = []  # noqa: RUF012  # of all
-
-    def update(self):
-        return Status.RUNNING
-
-    def setup(self, **arguments):
-        self.said.append(arguments["node"])
-
-    def shutdown(self):
-        self.said.append("shutdown")
-
-
-PORTS = {
-    **{"Repeat": 'num_cycles="3"', "RetryUntilSuccessful": 'num_attempts="3"'},
-    **{"Delay": 'delay_msec="3"', "Timeout": 'msec="3"', "Precondition": 'if="true"'},
-    **dict.fromkeys(("SkipUnlessUpdated", "WaitValueUpdate"), 'entry="x"'),
-    **dict.fromkeys(("LoopInt", "LoopDouble", "LoopBool", "LoopString"), 'queue="1;1"'),
-    "PersistentSequence": 'current_child_idx="0"',
-}
-
-
-@pytest.mark.parametrize("tag", [tag for tag, kind in NODES.items() if kind.CHILDREN[1]])
-def test_node_passes_on_setup_and_shutdown(tag):
-    model = Model("rover")
-    model.action("scan")
-    kb = KnowledgeBase(model, clock=Clock())
-    registry = BehaviourRegistry(kb=kb)
-    registry.register("leaf", Device)
-    registry.register("under", lambda name, child: ForAction(name, kb, "scan", child))
-    count = NODES[tag].CHILDREN[0]
-    node = f"<{tag} {PORTS.get(tag, '')}>{'<leaf/>' * count}</{tag}>"
-    text = f'<root BTCPP_format="4"><BehaviorTree><under>{node}</under></BehaviorTree></root>'
-    root = load_xml(text, registry)
-    Device.said.clear()
-    runner = TreeRunner(root, clock=Clock())
-    runner.setup(node="the node")
-    runner.tick()
-    running = [
-        node for node in root.iterate() if type(node) is Device and node.status.name == "RUNNING"
-    ]
-    assert not running or root.tip() in running
-    runner.shutdown()
-    assert Device.said == ["the node"] * count + ["shutdown"] * count
-    assert root.tip() is None

@@ -38,7 +38,10 @@ def altitude_for(visibility):
 
 
 class Script:
-    """A task layer that hears messages only: adaptive altitude, recovery, recharge below 0.25, follow when found."""
+    """A task layer that hears messages only.
+
+    Adaptive altitude, recovery, recharge below 0.25, follow when found.
+    """
 
     def __init__(self, env, adaptive=True):
         self.env = env

@@ -26,7 +26,10 @@ def vehicle_of(chosen, motion=(0, 0, 0, 0, 0, 0)):
 
 
 def energy_of(vehicle):
-    """Return kinetic and potential energy [J]: of the moving bodies, of their weight and of their buoyancy."""
+    """Return kinetic and potential energy [J].
+
+    Of the moving bodies, of their weight and of their buoyancy.
+    """
     model = vehicle.model
     data = vehicle.data
     mujoco.mj_forward(model, data)

@@ -10,7 +10,8 @@ from suave_env import Settings
 from suave_env.components import Agenda
 from suave_env.sea import Pipeline, Water
 
-# From which integer second on which altitude [m] is expected: the published schedule for the period of 80 s
+# From which integer second on which altitude [m] is expected: the published schedule for the period
+# of 80 s
 SCHEDULE = {0: 3, 12: 2, 23: 1, 58: 2, 69: 3, 92: 2, 103: 1, 138: 2, 149: 3, 172: 2, 183: 1}
 
 
