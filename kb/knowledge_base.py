@@ -16,7 +16,7 @@ from operator import attrgetter
 from pathlib import Path
 from threading import Lock, RLock
 from types import MappingProxyType
-from typing import Any, Concatenate, Final, ParamSpec, TypeVar
+from typing import Any, Final, TypeVar
 from weakref import WeakSet, finalize
 
 from kb import elements, situations, views
@@ -26,8 +26,6 @@ from kb.elements import (
     Action,
     Attribute,
     Constraint,
-    Element,
-    Estimation,
     Parameters,
     finite_number,
     flag,
@@ -76,8 +74,7 @@ _LOCKS: Final[WeakSet[Any]] = WeakSet()
 """The locks of all bases: if another thread held one at a fork, the child could never use that base."""
 _held_locks: list[Any] = []
 
-P = ParamSpec("P")
-T = TypeVar("T")
+MethodT = TypeVar("MethodT", bound=Callable[..., Any])
 
 
 def _hold_locks() -> None:
@@ -96,9 +93,7 @@ os.register_at_fork(
 )
 
 
-def _update(
-    method: Callable[Concatenate["KnowledgeBase", P], T],
-) -> Callable[Concatenate["KnowledgeBase", P], T]:
+def _update(method: MethodT) -> MethodT:
     """Make a method record facts: hold the lock, record what is due, run it, call subscribers.
 
     The clock and the subscribers are foreign code, which may wait for another thread. So they are
@@ -106,7 +101,7 @@ def _update(
     """
 
     @wraps(method)
-    def updating(self: "KnowledgeBase", *args: P.args, **kwargs: P.kwargs) -> T:
+    def updating(self: "KnowledgeBase", *args: object, **kwargs: object) -> object:
         now = self._read_clock()
         with self._lock:
             if self.store is not None:
@@ -120,7 +115,7 @@ def _update(
         return result
 
     _REPLAYABLE[method.__name__.removeprefix("_")] = updating
-    return updating  # type: ignore[return-value]  # nobody passes self by name
+    return updating  # type: ignore[return-value]  # it has the same signature
 
 
 class Reading:
@@ -907,39 +902,32 @@ class KnowledgeBase:
 
     def _begin(self, stated: Sequence[elements.Fact], now: float) -> None:
         """Begin with what the model states."""
-        state = self._state
+        network, state = self._network, self._state
         measured = [fact for fact in stated if isinstance(fact, elements.MeasurementFact)]
         measured.sort(key=lambda fact: (fact.latest, now if fact.time is None else fact.time))
         for number, measurement in enumerate(measured, start=-len(measured)):
-            node = self._network.attributes[measurement.attribute]
+            node = network.attributes[measurement.attribute]
             time = now if measurement.time is None else measurement.time
             enter = state.set_measurement if measurement.latest else state.remember
             enter(node, measurement.value, time, number)
         for number, fact in enumerate(stated, start=1):
-            for verb, arguments in self._events_of(fact, number, now):
-                state.apply(Event(0, now, verb, arguments))
+            match fact:
+                case elements.StatusFact(element, status):
+                    state.assert_status(network.find(element), status)
+                case elements.RequiredFact(element):
+                    state.set_flag("asserted_required", network.find(element), True)
+                case elements.SelectedFact(element):
+                    state.set_flag("selected", network.find(element), True)
+                case elements.ActiveFact(component):
+                    state.set_flag("active", network.components[component], True)
+                case elements.RequiredActionFact() | elements.PlanFact() | elements.ProcessFact():
+                    self._records.begin(fact, -number, now)
+        for name in self._records.required:
+            state.set_flag("requested", network.actions[name], True)
         state.infer()
         state.before = {}
         self.log.append(Event(1, now, "begin", ()))
         self._revision = 1
-
-    def _events_of(
-        self, fact: elements.Fact, number: int, now: float
-    ) -> list[tuple[str, tuple[Any, ...]]]:
-        """Return what a fact of the model says as verbs with arguments; records are added."""
-        match fact:
-            case elements.StatusFact(element, status):
-                return [("assert_status", (self._network.find(element).ref, status, "", None))]
-            case elements.RequiredFact(element):
-                return [("assert_required", (self._network.find(element).ref, True))]
-            case elements.SelectedFact(element):
-                return [("assert_selected", (self._network.find(element).ref, True, ""))]
-            case elements.ActiveFact(component):
-                return [("component_active", (component, True, ""))]
-            case elements.MeasurementFact():
-                return []
-        self._records.begin(fact, -number, now)
-        return [("request_action", (name, None)) for name in self._records.required]
 
     def _record_amendment(self, change: elements.Amended) -> None:
         """Record a change of the model, unless it is recorded already."""
@@ -958,11 +946,7 @@ class KnowledgeBase:
                 reason = "it is no longer in the model"
                 self._record("cancel_action", (element.name, "abandoned", reason))
         self._amendment = change
-        named = [element for element in change.elements if not isinstance(element, Estimation)]
-        names = [
-            element.name if isinstance(element, Element) else str(element)
-            for element in named or change.elements
-        ]
+        names = [str(getattr(element, "name", element)) for element in change.elements]
         words = f"{', '.join(names)} {change.how} in the model"
         self._record("amend", (change.how, change.written), words=words)
 

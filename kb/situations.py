@@ -233,11 +233,11 @@ def situation(
         state = known.copy()
         network = state.network
         for name in failed:
-            state.suppose("failed", network.components[name], True)
+            state.set_flag("failed", network.components[name], True)
         for name in recovered:
-            state.suppose("failed", network.components[name], False)
+            state.set_flag("failed", network.components[name], False)
         for name in requested:
-            state.suppose("requested", network.actions[name], True)
+            state.set_flag("requested", network.actions[name], True)
         for name, value in values.items():
             node = network.attributes[name]
             if value is not None:
