@@ -14,11 +14,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
-from lark import Lark, Token, Transformer, UnexpectedCharacters, UnexpectedToken, v_args
+from lark import Lark, Token, Tree, UnexpectedCharacters, UnexpectedToken
 
 from kb import elements
 from kb.elements import Configuration, Constraint, Element, Fact, finite_number
@@ -40,82 +40,22 @@ _READING: Final = ("get", "fetch", "aggregate", "group", "sort", "limit", "offse
 _ESCAPED: Final = {"n": "\n", "t": "\t", "r": "\r", "0": "\0", "\\": "\\", '"': '"', "'": "'"}
 
 
-class Has(NamedTuple):
-    """`has LABEL value`."""
-
-    label: Token
-    value: Literal
+Statement = Tree[Token]
 
 
-class Player(NamedTuple):
-    """`role: $variable`; a role that is left out follows from the type."""
-
-    role: Token | None
-    variable: Token
-
-
-Clause = Token | Has | list[Player]
-"""What a statement says: a type, an attribute, or who takes part."""
+def _clauses(statement: Statement, name: str) -> list[Any]:
+    """Return the contents of the clauses of a statement: "isa", "has" or "players"."""
+    clauses = [clause for clause in statement.children if isinstance(clause, Tree)]
+    return [clause.children for clause in clauses if clause.data == name]
 
 
-class Statement(NamedTuple):
-    """What is stated about a variable, or about a relation without one; its first word."""
-
-    word: Token
-    clauses: list[Clause]
-
-
-Query = tuple[list[Statement], list[Statement]]
-"""The statements that are matched, and those that are inserted."""
+def _subject(statement: Statement) -> str:
+    """Return the variable of a statement, or a text of its own for a relation without one."""
+    first = statement.children[0]
+    return str(first) if isinstance(first, Token) else f"({id(statement)})"
 
 
-class _WrongWord(Exception):
-    """A word that the grammar allows and a model file may not have."""
-
-    def __init__(self, word: Token, message: str) -> None:
-        self.word = word
-        super().__init__(message)
-
-
-@v_args(inline=True)
-class _Statements(Transformer[Token, list[Query]]):
-    """Makes queries of what the parser finds."""
-
-    def start(self, *queries: Query | None) -> list[Query]:
-        return [query for query in queries if query is not None]
-
-    def define(self, *_: object) -> None:
-        return None
-
-    def insert(self, *statements: Statement) -> Query:
-        return [], list(statements)
-
-    def match(self, *statements: Any) -> Query:  # noqa: ANN401  # the last is an insert
-        *patterns, (_, inserted) = statements
-        return patterns, inserted
-
-    def named(self, variable: Token, *clauses: Clause) -> Statement:
-        return Statement(variable, list(clauses))
-
-    def unnamed(self, players: list[Player], *clauses: Clause) -> Statement:
-        word = players[0].variable
-        return Statement(word.update(value=""), [players, *clauses])
-
-    def isa(self, label: Token) -> Token:
-        return label
-
-    def has(self, label: Token, value: Token) -> Has:
-        return Has(label, _literal(value))
-
-    def players(self, *players: Player) -> list[Player]:
-        return list(players)
-
-    def player(self, *words: Token) -> Player:
-        role = words[-2] if len(words) > 1 and words[-2].type == "NAME" else None
-        return Player(role, words[-1])
-
-
-def _literal(word: Token) -> Literal:
+def _literal(word: Token, place: Place) -> Literal:
     """Return the value of a literal; a date without a zone is in UTC."""
     text = str(word)
     if word.type == "TEXT":
@@ -128,7 +68,7 @@ def _literal(word: Token) -> Literal:
             return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
         return int(text) if re.fullmatch(r"[+-]?\d+", text) else float(text)
     except ValueError as error:
-        raise _WrongWord(word, f"`{text:.40}` is not a value: {error!s:.60}") from None
+        raise place.error(f"`{text:.40}` is not a value: {error!s:.60}") from None
 
 
 def _unescaped(match: re.Match[str]) -> str:
@@ -138,20 +78,18 @@ def _unescaped(match: re.Match[str]) -> str:
 
 @cache
 def _parser() -> Lark:
-    how = {"parser": "lalr", "lexer": "contextual", "transformer": _Statements()}
-    return Lark.open("typeql.lark", rel_to=__file__, **how)
+    return Lark.open("typeql.lark", rel_to=__file__, parser="lalr", lexer="contextual")
 
 
-def parse(text: str, file: str) -> list[Query]:
-    """Read the queries of a file.
+def parse(text: str, file: str) -> list[Tree[Token]]:
+    """Read the queries of a file: `insert` or `match ... insert`.
 
     Raises:
         ModelFileError: the text is no TypeQL, or changes or reads a database.
     """
     try:
-        return _parser().parse(text)  # type: ignore[return-value]  # made by _Statements
-    except _WrongWord as wrong:
-        raise _place(file, wrong.word).error(str(wrong)) from None
+        queries = _parser().parse(text).children
+        return [query for query in queries if isinstance(query, Tree) and query.data != "define"]
     except UnexpectedCharacters as error:
         word = text[error.pos_in_stream or 0]
         raise _unexpected(word, error.allowed, file, error.line, error.column) from None
@@ -177,8 +115,15 @@ def _unexpected(
     return ModelFileError(message, file, line, column)
 
 
-def _place(file: str, word: Token) -> Place:
+def _place(file: str, where: Token | Statement) -> Place:
+    """Return the place of a token, or of the first one in a statement."""
+    tokens = [where] if isinstance(where, Token) else where.scan_values(_is_token)
+    word = next(iter(tokens))
     return Place(file, word.line or 1, word.column or 1)
+
+
+def _is_token(value: object) -> bool:
+    return isinstance(value, Token)
 
 
 # ---------------------------------------------------------------- words
@@ -290,50 +235,46 @@ class Things:
     def note(self, place: Place, text: str) -> None:
         self.notes.append(f"{place}: {text}")
 
-    def insert(self, query: Query, file: str) -> None:
+    def insert(self, query: Any, file: str) -> None:  # noqa: ANN401  # a tree of trees
         """Insert what a query says; its statements may use a variable before its declaration."""
-        patterns, statements = query
-        things = {str(pattern.word): self._matched(pattern, file) for pattern in patterns}
-        subjects: list[Thing | None] = []
-        for word, clauses in statements:
-            types = [clause for clause in clauses if isinstance(clause, Token)]
-            subjects.append(None)
-            for label in types:
+        *patterns, inserted = query.children if query.data == "match" else [query]
+        things = {_subject(pattern): self._matched(pattern, file) for pattern in patterns}
+        for statement in inserted.children:
+            for (label,) in _clauses(statement, "isa"):
                 place = _place(file, label)
-                if str(word) in things or len(types) > 1:
-                    raise place.error(f"`{word}` has a type already; a thing has one")
-                thing = Thing(_type_of(label, place), place)
-                self.by_kind[thing.kind].append(thing)
-                subjects[-1] = thing
-                if word:
-                    things[str(word)] = thing
+                subject = _subject(statement)
+                if subject in things:
+                    raise place.error(f"`{subject}` has a type already; a thing has one")
+                things[subject] = Thing(_type_of(label, place), place)
+                self.by_kind[things[subject].kind].append(things[subject])
 
-        def resolve(variable: Token) -> Thing:
-            if variable not in things:
-                unknown = UnknownName("variable", str(variable), things)
-                what = f"{unknown}; a type is given by `{variable} isa ...`"
-                raise _place(file, variable).error(what)
-            return things[variable]
+        def resolve(word: str, place: Place) -> Thing:
+            if word not in things:
+                unknown = UnknownName("variable", word, things)
+                raise place.error(f"{unknown}; a type is given by `{word} isa ...`")
+            return things[word]
 
-        for (word, clauses), subject in zip(statements, subjects, strict=True):
-            thing = subject or resolve(word)
-            for clause in clauses:
-                if isinstance(clause, Has):
-                    self.give(thing, str(clause.label), clause.value, _place(file, clause.label))
-                elif isinstance(clause, list):
-                    for role, variable in clause:
-                        self._play(thing, role, resolve(variable), _place(file, role or variable))
+        for statement in inserted.children:
+            thing = resolve(_subject(statement), _place(file, statement))
+            for label, word in _clauses(statement, "has"):
+                value = _literal(word, _place(file, word))
+                self.give(thing, str(label), value, _place(file, label))
+            for player in chain.from_iterable(_clauses(statement, "players")):
+                *roles, variable = player.children
+                role = next((word for word in roles[-1:] if word.type == "NAME"), None)
+                place = _place(file, role or variable)
+                self._play(thing, role, resolve(str(variable), _place(file, variable)), place)
 
     def _matched(self, pattern: Statement, file: str) -> Thing:
         """Return the thing of a pattern `$x isa TYPE, has NAME 'name'`."""
-        place = _place(file, pattern.word)
-        match pattern.clauses:
-            case [Token() as label, Has() as has]:
-                kind = _type_of(label, place).kind
-            case _:
-                what = "`match` finds things by type and name"
-                raise place.error(f"{what}; write `$x isa Action, has action-name 'explore';`")
-        name = str(has.value)
+        place = _place(file, pattern)
+        types = _clauses(pattern, "isa")
+        names = _clauses(pattern, "has")
+        if len(types) != 1 or len(names) != 1 or _clauses(pattern, "players"):
+            what = "`match` finds things by type and name"
+            raise place.error(f"{what}; write `$x isa Action, has action-name 'explore';`")
+        kind = _type_of(types[0][0], place).kind
+        name = str(_literal(names[0][1], place))
         if name not in self.named[kind]:
             raise place.error(f"`match` finds nothing: {UnknownName(kind, name, self.named[kind])}")
         return self.named[kind][name]

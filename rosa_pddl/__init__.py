@@ -4,22 +4,20 @@ from rosa_pddl.belief import LastingFeasibility
 from rosa_pddl.domain import (
     Domain,
     Feasibility,
-    Schema,
-    State,
-    Step,
-    feasible_atoms,
-    initial_state,
-)
-from rosa_pddl.exceptions import (
     GoalError,
     MissingBehaviourError,
     PddlError,
     PlannerSettingError,
     PlanningBudgetError,
     RosaPddlError,
+    Schema,
     SensingError,
+    State,
+    Step,
     UnknownNameError,
     UnsupportedPddlError,
+    feasible_atoms,
+    initial_state,
 )
 from rosa_pddl.executor import PlanExecutor
 from rosa_pddl.planner import Certificate, Planner, certificate, wait_for_plan

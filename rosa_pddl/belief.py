@@ -5,20 +5,22 @@ succeeds and the action is still unfeasible, the effect is unmet: plans do not r
 for it again as long as one of the causes that kept the action unfeasible then has lasted.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from math import isfinite
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 from rosa_pddl.domain import (
+    FEASIBLE,
     Domain,
     Effect,
     Feasibility,
     Formula,
-    Schema,
+    SensingError,
     State,
     Step,
+    UnknownObjectError,
     arguments_of,
     exact,
     feasible_atoms,
@@ -28,9 +30,8 @@ from rosa_pddl.domain import (
     numbers_in,
     without_feasibility,
 )
-from rosa_pddl.exceptions import SensingError, UnknownObjectError
 from rosa_pddl.grounding import binding_of
-from rosa_pddl.validate import affected_atoms, changes, ended, started
+from rosa_pddl.validate import changes, ended, started
 
 _MOST_DOMAINS = 8
 # At most this many sensed things with unknown names are reported.
@@ -313,6 +314,10 @@ class UnmetEffect:
         return f"{self.step} did not make {self.action} feasible: {self.why}"
 
 
+Limit: TypeAlias = tuple[str, tuple[tuple[str, str], ...], str]
+"""A PDDL action, objects for some of its variables, and the ROSA action that it does not cure."""
+
+
 class ExpectedEffects:
     """Provides a domain for planning, without effects on feasibility that cannot be expected.
 
@@ -323,14 +328,13 @@ class ExpectedEffects:
     def __init__(self, domain: Domain, kb: Feasibility) -> None:
         self._domain = domain
         self._kb = kb
-        self._unmet: dict[tuple[Step, str], UnmetEffect] = {}
-        self._hopeless: frozenset[tuple[str, str]] = frozenset()
-        self._without = lru_cache(_MOST_DOMAINS)(self._limited)
+        self._unmet: dict[Limit, UnmetEffect] = {}
+        self._hopeless: frozenset[Limit] = frozenset()
+        self._limited = lru_cache(_MOST_DOMAINS)(_limited)
 
     def use(self, domain: Domain) -> None:
         """Switch to a domain with other objects."""
         self._domain = domain
-        self._without.cache_clear()
 
     @property
     def unmet(self) -> tuple[UnmetEffect, ...]:
@@ -340,95 +344,66 @@ class ExpectedEffects:
     @property
     def domain(self) -> Domain:
         """The domain without the effects that cannot be expected."""
-        if not self._unmet and not self._hopeless:
-            return self._domain
-        return self._without(frozenset(self._unmet), self._hopeless)
+        limits = self._hopeless.union(self._unmet)
+        return self._limited(self._domain, limits) if limits else self._domain
 
     def ended(self, step: Step, state: State) -> tuple[UnmetEffect, ...]:
         """Note that a step succeeded; return its unmet effects."""
-        unmet = list[UnmetEffect]()
-        for action in self._expected(step, state):
+        domain = self._domain
+        binding = binding_of(domain, step)
+        _, added = changes(domain, domain.schema_of[step.schema].effects, binding, state)
+        unmet = dict[Limit, UnmetEffect]()
+        for atom in sorted(added & domain.feasibility.keys()):
+            action = domain.feasibility[atom]
             if not self._kb.is_feasible(action):
-                why = f"{action} is unfeasible"
-                if isinstance(self._kb, Explaining):
-                    why = self._kb.why(action)
-                unmet.append(UnmetEffect(step, action, causes_of(self._kb, action), why))
-        self._unmet |= {(each.step, each.action): each for each in unmet}
-        return tuple(unmet)
+                limit = step.schema, tuple(binding.items()), action
+                causes = causes_of(self._kb, action)
+                unmet[limit] = UnmetEffect(step, action, causes, why_of(self._kb, action))
+        self._unmet |= unmet
+        return tuple(unmet.values())
 
-    def update(self) -> bool:
-        """Forget unmet effects whose causes have gone; return whether something changed."""
-        before = len(self._unmet), self._hopeless
+    def update(self) -> None:
+        """Forget unmet effects whose causes have gone."""
         self._hopeless = hopeless_promises(self._domain, self._kb)
-        for key, unmet in tuple(self._unmet.items()):
+        for limit, unmet in tuple(self._unmet.items()):
             left = frozenset[str]()
             if not self._kb.is_feasible(unmet.action):
                 left = unmet.causes & causes_of(self._kb, unmet.action)
-            if left:
-                self._unmet[key] = replace(unmet, causes=left)
-            else:
-                del self._unmet[key]
-        return (len(self._unmet), self._hopeless) != before
+            self._unmet[limit] = replace(unmet, causes=left)
+            if not left:
+                del self._unmet[limit]
 
     def assumptions(self, steps: Iterable[Step], state: State) -> tuple[str, ...]:
         """Return what a plan assumes about what makes actions feasible, in sentences."""
         return assumptions(self._domain, self._kb, steps, state)
 
-    def _expected(self, step: Step, state: State) -> Iterator[str]:
-        schema = self._domain.schema_of[step.schema]
-        _, added = changes(self._domain, schema.effects, binding_of(self._domain, step), state)
-        feasibility = self._domain.feasibility
-        for atom in sorted(added & feasibility.keys()):
-            yield feasibility[atom]
 
-    def _limited(
-        self, unmet: frozenset[tuple[Step, str]], hopeless: frozenset[tuple[str, str]]
-    ) -> Domain:
-        """Return a domain in which given steps no longer make given actions feasible."""
-        schemas = dict(self._domain.schema_of)
-        for step, action in sorted(unmet, key=str):
-            binding = binding_of(self._domain, step)
-            limit = partial(_without, self._domain, binding=binding, action=action)
-            schemas[step.schema] = schemas[step.schema].with_effects(limit)
-        for curing, action in sorted(hopeless):
-            for name, schema in schemas.items():
-                if self._domain.may_do(schema, curing):
-                    schemas[name] = _not_curing(self._domain, schema, curing, action)
-        return replace(self._domain, schema_of=schemas)
+def _limited(domain: Domain, limits: Iterable[Limit]) -> Domain:
+    """Return a domain in which actions do not make others feasible beyond limits."""
+    schemas = dict(domain.schema_of)
+    for name, objects, action in sorted(limits):
+        pairs = [("same", *pair) for pair in objects]
+
+        def limited(
+            effect: Effect, pairs: Sequence[Formula] = pairs, cured: str = action
+        ) -> Effect:
+            if effect.kind != "add" or effect.name.lower() != FEASIBLE:
+                return effect
+            excluded = ("and", *pairs, ("same", effect.terms[0], cured))
+            return effect._replace(condition=("and", effect.condition, ("not", excluded)))
+
+        schemas[name] = schemas[name].with_effects(limited)
+    return replace(domain, schema_of=schemas)
 
 
 def without_hopeless(domain: Domain, kb: Feasibility) -> Domain:
     """Return a domain in which no action makes another one feasible that it cannot, by the model."""
-    effects = ExpectedEffects(domain, kb)
-    effects.update()
-    return effects.domain
+    limits = hopeless_promises(domain, kb)
+    return _limited(domain, limits) if limits else domain
 
 
-def _not_curing(domain: Domain, schema: Schema, curing: str, action: str) -> Schema:
-    """Return a PDDL action that does not make an action feasible when it does `curing`."""
-    binding = {f"?{schema.action}": curing} if f"{schema.action}" != curing else {}
-
-    def limited(effect: Effect) -> Effect:
-        is_promise = effect.kind == "add" and domain.is_feasibility(f"({effect.name})")
-        return _when_not(effect, binding, action) if is_promise else effect
-
-    return schema.with_effects(limited)
-
-
-def _promises(domain: Domain) -> Iterator[tuple[str, str]]:
-    """Yield pairs of ROSA actions: the first, when it is done, may make the second feasible."""
-    for schema in domain.schema_of.values():
-        effects = [effect for effect in schema.effects if effect.kind == "add"]
-        if not any(domain.is_feasibility(f"({effect.name})") for effect in effects):
-            continue
-        for curing in domain.rosa_actions:
-            if domain.may_do(schema, curing):
-                for action in domain.rosa_actions:
-                    yield curing, action
-
-
-def hopeless_promises(domain: Domain, kb: Feasibility) -> frozenset[tuple[str, str]]:
-    """Return the pairs of ROSA actions of which the first cannot make the second feasible now.
+def hopeless_promises(domain: Domain, kb: Feasibility) -> frozenset[Limit]:
+    """Return the ROSA actions that PDDL actions cannot make feasible now, though they promise it.
 
     An action says in the model what it restores: attributes and components. It makes another one
     feasible only if some remedy of that one consists of these.
@@ -436,16 +411,25 @@ def hopeless_promises(domain: Domain, kb: Feasibility) -> frozenset[tuple[str, s
     model = getattr(kb, "model", None)
     if model is None or not isinstance(kb, Explaining):
         return frozenset()
-    hopeless = set[tuple[str, str]]()
-    if "promises" not in domain.cache:
-        domain.cache["promises"] = tuple(_promises(domain))
-    for curing, action in domain.cache["promises"]:
-        cure = model.actions[curing]
-        if not cure.restores or kb.is_feasible(action):
+    unfeasible = [action for action in domain.rosa_actions if not kb.is_feasible(action)]
+    hopeless = set[Limit]()
+    for schema in domain.schema_of.values() if unfeasible else ():
+        if FEASIBLE not in {e.name.lower() for e in schema.effects if e.kind == "add"}:
             continue
-        if not kb.explain(action).is_restored_by(cure):
-            hopeless.add((curing, action))
+        for curing in domain.rosa_actions:
+            cure = model.actions[curing]
+            if not cure.restores or not domain.may_do(schema, curing):
+                continue
+            done = ((f"?{schema.action}", curing),) if schema.action != curing else ()
+            for action in unfeasible:
+                if not kb.explain(action).is_restored_by(cure):
+                    hopeless.add((schema.name, done, action))
     return frozenset(hopeless)
+
+
+def why_of(kb: Feasibility, action: str) -> str:
+    """Return in words why an action is unfeasible."""
+    return kb.why(action) if isinstance(kb, Explaining) else f"{action} is unfeasible"
 
 
 def assumptions(
@@ -466,8 +450,7 @@ def assumptions(
             restores = model.actions[step.action].restores
         for atom in sorted((added - state) & feasibility.keys()):
             if not restores:
-                action = feasibility[atom]
-                why = kb.why(action) if isinstance(kb, Explaining) else f"{action} is unfeasible"
+                why = why_of(kb, feasibility[atom])
                 sentences[f"assumes that {step.schema} cures: {why}"] = None
         state = ended(domain, step, started(domain, step, state))
     return tuple(sentences)
@@ -489,17 +472,3 @@ def causes_of(kb: Feasibility, action: str) -> frozenset[str]:
             if not deeper:
                 causes.add(key)
     return frozenset(causes)
-
-
-def _without(domain: Domain, effect: Effect, binding: Mapping[str, str], action: str) -> Effect:
-    """Return an effect that does not make an action feasible when the objects are these."""
-    atom = domain.feasible_atom(action)
-    if effect.kind != "add" or atom not in affected_atoms(domain, [effect], binding):
-        return effect
-    return _when_not(effect, binding, action)
-
-
-def _when_not(effect: Effect, binding: Mapping[str, str], action: str) -> Effect:
-    pairs: list[Formula] = [("same", variable, name) for variable, name in binding.items()]
-    pairs.append(("same", effect.terms[0], action))
-    return effect._replace(condition=("and", effect.condition, ("not", ("and", *pairs))))

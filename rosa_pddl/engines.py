@@ -16,7 +16,7 @@ from threading import Event, Lock
 from typing import Final, NamedTuple
 from weakref import WeakSet
 
-from rosa_pddl.exceptions import nearest
+from rosa_pddl.domain import nearest
 from rosa_pddl.problem import Outcome, PddlText, PlanningFailed
 from rosa_pddl.worker import fast_downward_command
 
@@ -92,12 +92,8 @@ class EngineProcess:
         steps = tuple(EngineStep(*step) for step in answer["plan"])
         return EngineAnswer(outcome, steps, answer["message"])
 
-    def prepare(self) -> None:
-        """Start the process, unless it runs already."""
-        with self._lock:
-            self._start()
-
     def _start(self) -> None:
+        """Start the process, unless it runs already."""
         if self._process is not None and self._process.poll() is None:
             return
         self.close()

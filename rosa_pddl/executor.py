@@ -16,18 +16,22 @@ from rosa_pddl.belief import (
     LastingFeasibility,
     Sense,
 )
-from rosa_pddl.domain import Domain, Feasibility, State, Step, with_object, without_object
-from rosa_pddl.exceptions import (
+from rosa_pddl.domain import (
+    Domain,
+    Feasibility,
     MissingBehaviourError,
     SensingError,
+    State,
+    Step,
     UnknownNameError,
     UnsupportedPddlError,
     nearest,
+    with_object,
+    without_object,
 )
 from rosa_pddl.grounding import binding_of
 from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor
 from rosa_pddl.planner import Planner
-from rosa_pddl.problem import Problem
 from rosa_pddl.reader import conditions
 from rosa_pddl.replanning import (
     Decision,
@@ -314,11 +318,8 @@ class PlanExecutor(Behaviour):
         self._replanning.reset_backoff()
 
     def setup(self, **kwargs: object) -> None:
-        """Let the planner start to prepare; called once before the first tick."""
+        """Keep what the behaviours of steps are to be set up with; called before the first tick."""
         self._setup_arguments = kwargs
-        if isinstance(self._planner, Planner):
-            problem = Problem(self._domain, self._belief.observe())
-            self._planner.prepare(problem, self._belief.sensed.facts)
 
     def initialise(self) -> None:
         """Forget the plan of the last round but keep the believed state; called on a new round."""

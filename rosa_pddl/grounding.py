@@ -259,10 +259,10 @@ def grounded(number: Number, binding: Binding) -> Number:
 
 
 def texts_in(number: Number) -> Iterator[str]:
-    """Yield the texts of the numbers in a ground number."""
+    """Yield the texts of the numbers in a number without variables."""
     if isinstance(number, tuple):
         if number[0] == "n":
-            yield number[1]
+            yield number[1] if len(number) == 2 else atom_text(number[1], number[2])
         else:
             for part in number[1:]:
                 yield from texts_in(part)

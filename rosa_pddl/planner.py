@@ -4,12 +4,19 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, wait
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, chain, combinations, product
 from math import comb, inf
 
-from rosa_pddl.domain import Domain, State, Step, names_in
+from rosa_pddl.domain import (
+    Domain,
+    PlannerSettingError,
+    PlanningBudgetError,
+    State,
+    Step,
+    UnsupportedPddlError,
+    names_in,
+)
 from rosa_pddl.engines import (
     DOWNWARD,
     KAIROS,
@@ -19,7 +26,6 @@ from rosa_pddl.engines import (
     check_name,
     missing_package,
 )
-from rosa_pddl.exceptions import PlannerSettingError, PlanningBudgetError, UnsupportedPddlError
 from rosa_pddl.grounding import UnsearchableError
 from rosa_pddl.problem import (
     Attempt,
@@ -36,11 +42,9 @@ SEARCH = "search"
 """The strategy that is the exact search in this process."""
 
 # Within a tick, the search looks at most at this many moves; some milliseconds.
-_MOVES_IN_A_TICK = 1000
+_MOVES_IN_A_TICK = 100
 _MOVES_FOR_AN_OPERATION = 5
 _MOST_DOMAINS = 8
-_PREPARED_S = 60.0
-_LOOKS_S = 0.05
 _MOST_ENTRIES = 1 << 14
 
 
@@ -91,33 +95,10 @@ class Planner:
         self.cancelled = set[threading.Event]()
         # by the caches of domains, which domains share that differ in numbers only
         self._grounded: dict[int, Grounded] = {}
-        self._lock = threading.Lock()
 
     def missing(self) -> str | None:
         """Return what to install if the engine is missing, else None."""
         return missing_package(self.engine)
-
-    def prepare(self, problem: Problem, changing: Iterable[str] = ()) -> None:
-        """Start to ground the task in the background; otherwise the first planning does it.
-
-        Args:
-            problem: the problem in the state in which the mission begins.
-            changing: atoms that may change although no action changes them, as those sensed.
-
-        Raises:
-            UnknownNameError: the domain does not have an atom.
-        """
-        named = frozenset(map(problem.domain.atom, changing))
-        planning = _Planning(self, problem)
-
-        def work() -> None:
-            with suppress(Cancelled, PlanningFailed, UnsearchableError, CapReached):
-                if not planning.may_search:
-                    self.process.prepare()
-                planning.ground(time.monotonic() + _PREPARED_S, named)
-
-        name = f"grounding of {problem.domain.name}"
-        threading.Thread(target=work, name=name, daemon=True).start()
 
     def plan(self, problem: Problem) -> PlanningResult:
         """Plan now and wait for the answer; trouble is an outcome, never an exception."""
@@ -153,31 +134,25 @@ class Planner:
         self.process.close()
 
     def grounded(self, domain: Domain, state: State) -> Grounded | None:
-        """Return the grounded actions, if they are there and cover a state. Never waits."""
+        """Return the grounded steps, if they are there and cover a state."""
         task = self._grounded.get(id(domain.cache))
         return task if task is not None and task.covers(state) else None
 
-    def ground(
-        self, domain: Domain, state: State, named: State, go_on: Callable[[int], None]
-    ) -> Grounded:
-        """Return grounded actions that cover a state and the atoms named, made now if need be.
+    def ground(self, domain: Domain, state: State, go_on: Callable[[int], None]) -> Grounded:
+        """Return grounded steps that cover a state, made now if need be.
 
         They cover all feasibility facts, and other atoms as soon as a question had them. So what
         they cover depends on the questions before, never on how long anything takes.
         """
-        while not self._lock.acquire(timeout=_LOOKS_S):
-            go_on(0)
-        try:
-            task = self._grounded.pop(id(domain.cache), None)
-            if task is None or not task.covers(state) or not named <= task.base:
-                base = named.union(state, domain.feasibility, () if task is None else task.base)
-                task = Grounded(domain, base, go_on)
-            while len(self._grounded) >= _MOST_DOMAINS:
-                self._grounded.pop(next(iter(self._grounded)))
+        task = self.grounded(domain, state)
+        if task is None:
+            before = self._grounded.pop(id(domain.cache), None)
+            base = state.union(domain.feasibility, before.base if before else ())
+            task = Grounded(domain, base, go_on)
+            if len(self._grounded) >= _MOST_DOMAINS:
+                self._grounded.clear()
             self._grounded[id(domain.cache)] = task
-            return task
-        finally:
-            self._lock.release()
+        return task
 
 
 def wait_for_plan(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult:
@@ -219,7 +194,7 @@ class _Planning:
     def at_once(self) -> PlanningResult | None:
         """Return the answer if it can be found within a tick, else None."""
         task = self._planner.grounded(self._domain, self._problem.state)
-        if not self.may_search or task is None or len(task.operations) > _MOVES_IN_A_TICK:
+        if not self._may_search or task is None or len(task.steps) > _MOVES_IN_A_TICK:
             return None
         try:
             answer = self._checked(SEARCH, self._search(task, _MOVES_IN_A_TICK, inf))
@@ -241,7 +216,7 @@ class _Planning:
     # ------------------------------------------------------------ strategies
 
     @property
-    def may_search(self) -> bool:
+    def _may_search(self) -> bool:
         """Whether the search in this process may answer."""
         planner, problem = self._planner, self._problem
         is_plain = not (problem.soft or problem.until or planner.overlapping)
@@ -263,7 +238,7 @@ class _Planning:
 
     def _try_in_order(self) -> PlanningResult:
         deadline = time.monotonic() + self._planner.timeout_s
-        strategies = [SEARCH] if self.may_search else []
+        strategies = [SEARCH] if self._may_search else []
         strategies += [self._main_engine, *self._planner.fallback]
         attempts: list[Attempt] = []
         for number, strategy in enumerate(strategies, start=1):
@@ -287,8 +262,8 @@ class _Planning:
         """Return the answer of a strategy; None if the search gave up, as engines will do."""
         try:
             if strategy == SEARCH:
-                task = self.ground(deadline)
-                if len(task.operations) * _MOVES_FOR_AN_OPERATION > self._planner.moves:
+                task = self._ground(deadline)
+                if len(task.steps) * _MOVES_FOR_AN_OPERATION > self._planner.moves:
                     return None  # putting numbers into many operations takes longer than an engine
                 answer = self._search(task, self._planner.moves, deadline)
             else:
@@ -349,7 +324,7 @@ class _Planning:
 
     # ------------------------------------------------------------ the search
 
-    def ground(self, deadline: float, named: State = frozenset()) -> Grounded:
+    def _ground(self, deadline: float) -> Grounded:
         """Return the grounded actions, made now if need be."""
 
         def go_on(instances: int) -> None:
@@ -357,7 +332,7 @@ class _Planning:
             if instances > self._planner.moves:
                 raise CapReached  # an engine is quicker
 
-        return self._planner.ground(self._domain, self._problem.state, named, go_on)
+        return self._planner.ground(self._domain, self._problem.state, go_on)
 
     def _search(self, task: Grounded, cap: int, deadline: float) -> PlanningResult:
         steps = task.plan(self._problem, cap, lambda: self._check(deadline))

@@ -18,20 +18,22 @@ from rosa_pddl.domain import (
     Formula,
     Number,
     Schema,
+    SensingError,
     Signature,
     State,
     Step,
+    UnknownNameError,
     atom_text,
     bound,
     exact,
     head_of,
     names_in,
+    nearest,
     number_text,
     numbers_in,
     text_of,
     variables_text,
 )
-from rosa_pddl.exceptions import SensingError, UnknownNameError, nearest
 from rosa_pddl.grounding import UnsearchableError, binding_of, cost_of, substituted
 from rosa_pddl.reader import Goal
 from rosa_pddl.validate import TimedStep, Values

@@ -8,8 +8,18 @@ from math import inf
 from numbers import Real
 from typing import Protocol, TypeAlias
 
-from rosa_pddl.domain import Domain, State, Step, constants_in, head_of, names_in
-from rosa_pddl.exceptions import GoalError, PlannerSettingError, PlanningBudgetError, nearest
+from rosa_pddl.domain import (
+    Domain,
+    GoalError,
+    PlannerSettingError,
+    PlanningBudgetError,
+    State,
+    Step,
+    constants_in,
+    head_of,
+    names_in,
+    nearest,
+)
 from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor
 from rosa_pddl.planner import wait_for_plan
 from rosa_pddl.problem import Outcome, PlanningResult, Problem

@@ -7,8 +7,7 @@ never the clock, so the same task always has the same answer.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from collections.abc import Set as AbstractSet
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from heapq import heapify, heappop, heappush
 from itertools import chain
 from math import inf
@@ -16,40 +15,45 @@ from operator import add, gt, le
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from rosa_pddl.domain import (
-    FALSE,
     TRUE,
     Binding,
     Domain,
     Exact,
-    Formula,
     Number,
     Schema,
     State,
     Step,
+    UnsupportedPddlError,
     atom_text,
     bound,
     conjuncts,
     head_of,
+    names_in,
+    text_of,
 )
-from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.grounding import (
     Join,
+    Literal,
     Rule,
     UnsearchableError,
+    binding_of,
     cost_of,
-    grounded,
+    substituted,
     texts_in,
     with_types,
 )
-from rosa_pddl.problem import Problem, merged
-from rosa_pddl.validate import Values
+from rosa_pddl.problem import Problem
+from rosa_pddl.validate import (
+    Values,
+    affected_atoms,
+    ended,
+    goal_holds,
+    missing_at_start,
+    started,
+)
 
 T = TypeVar("T")
 S = TypeVar("S")
-
-# A graph that has stored more moves than this forgets them.
-_MOST_STORED = 200_000
-_MOST_GRAPHS = 4
 
 
 class CapReached(Exception):
@@ -188,201 +192,20 @@ def _moves(label: _Label[S, T]) -> tuple[Move[S, T], ...]:
     return tuple(moves[::-1])
 
 
-# ---------------------------------------------------------------- grounded actions
+# ---------------------------------------------------------------- steps as moves
 
 
-class Condition(NamedTuple):
-    """The atoms that must be true, those that must be false, other ground formulas, and tests.
-
-    Tests compare numbers.
-    """
-
-    needs: frozenset[str] = frozenset()
-    denies: frozenset[str] = frozenset()
-    others: tuple[Formula, ...] = ()
-    tests: tuple[Formula, ...] = ()
-
-    def holds(self, atoms: State, values: Values) -> bool:
-        """Whether it holds."""
-        if not (self.needs <= atoms and self.denies.isdisjoint(atoms)):
-            return False
-        if not all(_holds(formula, atoms) for formula in self.others):
-            return False
-        return all(values.holds(test, {}) for test in self.tests)
-
-    @property
-    def read(self) -> AbstractSet[str]:
-        """The atoms that are not simply needed."""
-        return self.denies.union(*map(_atoms_in, self.others))
-
-
-class Change(NamedTuple):
-    """A change of a number: when, `increase`, `decrease` or `assign`, which, and the amount."""
-
-    condition: Condition
-    kind: str
-    text: str
-    amount: Number
-
-
-class Operation(NamedTuple):
-    """A step as a change of atoms and numbers, at once."""
+class GroundStep(NamedTuple):
+    """A step with the atoms that it surely needs, and those that it may add and delete."""
 
     step: Step
-    condition: Condition
-    deletes: frozenset[str]
+    needs: frozenset[str]
     adds: frozenset[str]
-    effects: tuple[tuple[Condition, str, bool], ...]
-    changes: tuple[Change, ...]
-    cost: Number
-
-    @property
-    def changed(self) -> AbstractSet[str]:
-        """The atoms that it may change."""
-        return self.adds.union(self.deletes, [atom for _, atom, _ in self.effects])
-
-    def applied(self, atoms: State, values: Values) -> State:
-        """Return the atoms after the step."""
-        deletes, adds = self.deletes, self.adds
-        for condition, atom, truth in self.effects:
-            if condition.holds(atoms, values):
-                deletes, adds = (deletes, adds | {atom}) if truth else (deletes | {atom}, adds)
-        return (atoms - deletes) | adds
-
-    def numbers(self, atoms: State, values: Values) -> dict[str, Exact] | None:
-        """Return the new values of numbers; None if one is unknown."""
-        after = dict[str, Exact]()
-        for condition, kind, text, amount in self.changes:
-            if condition.holds(atoms, values):
-                value = values.number(amount, {})
-                if kind != "assign" and value is not None:
-                    before = after.get(text, values.value_of(text))
-                    sign = 1 if kind == "increase" else -1
-                    value = None if before is None else before + sign * value
-                if value is None:
-                    return None
-                after[text] = value
-        return after
-
-
-def _holds(formula: Formula, atoms: State) -> bool:
-    head, *parts = formula
-    if head == "atom":
-        return parts[0] in atoms
-    if head == "not":
-        return not _holds(parts[0], atoms)
-    each = (_holds(part, atoms) for part in parts)
-    return all(each) if head == "and" else any(each)
-
-
-def _atoms_in(formula: Formula) -> set[str]:
-    if formula[0] == "atom":
-        return {formula[1]}
-    return set(chain.from_iterable(map(_atoms_in, formula[1:])))
-
-
-Node = tuple[State, tuple[Any, ...]]
-"""The atoms that are true, and the values of the numbers in the order of the graph."""
-
-
-class TaskGraph:
-    """The states that steps lead to, for goals and costs; moves and bounds serve later starts.
-
-    The lower bound is the shortest path to a goal atom in a relaxed graph of atoms: of the atoms
-    that an operation needs, it keeps only one.
-
-    Args:
-        goal: what is to be reached.
-        operations: what can be done, each with its cost and its use of what is limited.
-        texts: the numbers that are part of a state.
-        values: returns the values of all numbers, given those of a state.
-    """
-
-    def __init__(
-        self,
-        goal: Condition,
-        operations: Sequence[tuple[Operation, Sequence[Exact]]],
-        texts: Sequence[str],
-        values: Callable[[Mapping[str, Exact | None]], Values],
-    ) -> None:
-        self._goal = goal
-        self._operations = operations
-        self.texts = texts
-        self._values = values
-        self._stored = 0
-        self._moves: dict[Node, tuple[Move[Node, Step], ...]] = {}
-        self._least: dict[State, tuple[float, Sequence[float]]] = {}
-        self._by_need: dict[str | None, list[int]] = {}
-        needed = Counter(chain.from_iterable(each.condition.needs for each, _ in operations))
-        for number, (operation, _) in enumerate(operations):
-            needs = sorted(operation.condition.needs)
-            rarest = min(needs, key=needed.__getitem__, default=None)
-            self._by_need.setdefault(rarest, []).append(number)
-        amounts = range(len(operations[0][1]) if operations else 1)
-        self._distances = list[list[dict[str | None, float]]]()
-        for amount in amounts:
-            arcs = list(self._arcs(amount))
-            self._distances.append([distances(arcs, [atom]) for atom in sorted(goal.needs)])
-
-    def is_goal(self, state: Node) -> bool:
-        """Whether the goal holds."""
-        return self._goal.holds(state[0], self._values_in(state))
-
-    def moves(self, state: Node) -> Sequence[Move[Node, Step]]:
-        """Return the moves that are possible in a state and change it."""
-        if state not in self._moves:
-            if self._stored > _MOST_STORED:
-                self._moves.clear()
-                self._least.clear()
-                self._stored = 0
-            self._moves[state] = tuple(self._possible(state))
-            self._stored += 1 + len(self._moves[state])
-        return self._moves[state]
-
-    def _values_in(self, state: Node) -> Values:
-        return self._values(dict(zip(self.texts, state[1], strict=True)))
-
-    def least(self, state: Node) -> tuple[float, Sequence[float]]:
-        """Return lower bounds: the distances of the farthest goal atom."""
-        atoms = state[0]
-        if atoms not in self._least:
-            bounds = list[float]()
-            for by_goal in self._distances:
-                nearest = [min(far.get(a, inf) for a in (None, *atoms)) for far in by_goal]
-                bounds.append(max(nearest, default=0))
-            self._least[atoms] = bounds[0], bounds[1:]
-        return self._least[atoms]
-
-    def _possible(self, state: Node) -> Iterator[Move[Node, Step]]:
-        atoms, before = state
-        values = self._values_in(state)
-        numbers = list(self._by_need.get(None, ()))
-        for atom in atoms:
-            numbers += self._by_need.get(atom, ())
-        for number in sorted(numbers):
-            operation, amounts = self._operations[number]
-            if not operation.condition.holds(atoms, values):
-                continue
-            changed = operation.numbers(atoms, values)
-            if changed is None:
-                continue
-            after = [changed.get(*pair) for pair in zip(self.texts, before, strict=True)]
-            node = operation.applied(atoms, values), tuple(after)
-            if node != state:
-                yield Move(node, amounts[0], tuple(amounts[1:]), operation.step)
-
-    def _arcs(self, amount: int) -> Iterator[tuple[str | None, str, Any]]:
-        """Yield the arcs of the relaxed graph: from an atom, or None for anywhere."""
-        for operation, amounts in self._operations:
-            needs = operation.condition.needs
-            before = min(needs & operation.deletes or needs, default=None)
-            added = [atom for _, atom, truth in operation.effects if truth]
-            for after in sorted(operation.adds.union(added)):
-                yield before, after, amounts[amount]
+    deletes: frozenset[str]
 
 
 class Grounded:
-    """The grounded actions of a domain, for all states whose atoms are reachable from a base.
+    """The steps that can be reached from any state whose atoms are in, or follow from, a base.
 
     Args:
         domain: what `load_domain` returned.
@@ -394,252 +217,214 @@ class Grounded:
     """
 
     def __init__(self, domain: Domain, base: State, go_on: Callable[[int], None]) -> None:
-        if domain.only_planned or domain.timed or domain.axioms:
-            raise UnsearchableError("facts change by themselves, or follow from others")
-        self.domain = domain
-        self.base = base
-        self._rules: dict[Rule, tuple[Schema, dict[tuple[str, ...], None]]] = {}
-        further = list[Rule]()
-        for schema in domain.schema_of.values():
-            further += self._add_rules(schema)
-        join = Join([*self._rules, *further])
-        self._possible = self._reach(join, go_on)
-        self.operations = tuple(self._operations(go_on))
-        changed = [operation.changed for operation in self.operations]
-        self._names = join.names.union(map(head_of, chain.from_iterable(changed)))
-        read = [operation.condition.read for operation in self.operations]
-        for operation in self.operations:
-            read += [each.needs | each.read for each, _, _ in operation.effects]
-        self._moving = frozenset(chain.from_iterable(changed + read))
-        self._needed = frozenset(chain(*[each.condition.needs for each in self.operations]))
-        self._sort_numbers()
-        self._graphs: dict[Any, TaskGraph] = {}
-
-    def _is_computed(self, text: str) -> bool:
-        return head_of(text) in self.domain.computed
-
-    def _sort_numbers(self) -> None:
-        """Find the numbers that operations change, those only raised, and all that count."""
-        changed, not_only_raised, read = dict[str, None](), set[str](), set[str]()
-        fixed = dict[str, None]()
-        for operation in self.operations:
-            conditions = [operation.condition, *(each for each, _, _ in operation.effects)]
-            for condition, kind, text, amount in operation.changes:
-                changed[text] = None
-                conditions.append(condition)
-                read.update(texts_in(amount))
-                if kind != "increase" or condition != Condition():
-                    not_only_raised.add(text)
-            for condition in conditions:
-                read.update(chain(*map(texts_in, condition.tests)))
-            fixed.update(dict.fromkeys(texts_in(operation.cost)))
-        changed |= dict.fromkeys(filter(self._is_computed, sorted(read)))
-        self._changed = tuple(changed)
-        self._raised = changed.keys() - not_only_raised - read
-        self._fixed = tuple(dict.fromkeys([*fixed, *sorted(read)]))
-        if not changed.keys().isdisjoint(fixed):
-            raise UnsearchableError("what a step costs depends on numbers that change")
-
-    def covers(self, state: State) -> bool:
-        """Whether the actions are right for a state."""
-        strange = [atom for atom in state - self._possible if not atom.startswith("(= ")]
-        return not any(head_of(atom) in self._names for atom in strange)
-
-    # ------------------------------------------------------------ reachable instances
-
-    def _add_rules(self, schema: Schema) -> Iterator[Rule]:
-        """Add the rule of an action; yield those of its effects on further variables."""
-        action = merged(schema, has_axioms=False)
-        if action is None:
-            raise UnsearchableError(f"{schema.name} is no change at once")
-        parts = list(conjuncts(action.start))
-        needed = [(part[1], part[2]) for part in parts if part[0] == "atom"]
-        checks = [part for part in parts if "same" in (part[0], part[0] == "not" and part[1][0])]
-        rule = Rule(action.variables, with_types(self.domain, action.variables, needed), checks)
-        self._rules[rule] = action, {}
-        for effect in action.effects:
-            head = effect.name, effect.terms
-            if effect.kind == "add" and effect.variables:
-                variables = action.variables + effect.variables
-                literals = with_types(self.domain, variables, needed)
-                yield Rule(variables, literals, checks, [head])
-            elif effect.kind == "add":
-                rule.heads.append(head)
-
-    def _reach(self, join: Join, go_on: Callable[[int], None]) -> State:
-        """Find what is reachable as if nothing were ever deleted, and without numbers."""
+        if domain.only_planned or domain.timed:
+            raise UnsearchableError("facts change by themselves")
+        self.base = frozenset(atom for atom in base if not atom.startswith("(= "))
+        self._derived = domain.derived
+        rules = {schema: self._rule(domain, schema) for schema in domain.schema_of.values()}
+        further = chain.from_iterable(_further_rules(domain, *each) for each in rules.items())
+        join = Join([*rules.values(), *further])
+        rows: dict[Rule, dict[tuple[str, ...], None]] = {rule: {} for rule in rules.values()}
         instances = 0
 
         def accept(rule: Rule, binding: Binding) -> bool:
             nonlocal instances
             instances += 1
             go_on(instances)
-            if not all(self._ground(check, binding) == TRUE for check in rule.checks):
-                return False
-            if rule in self._rules:
-                _, rows = self._rules[rule]
-                rows[tuple(binding[name] for name, _ in rule.variables)] = None
+            if rule in rows:
+                rows[rule][tuple(binding[name] for name, _ in rule.variables)] = None
             return True
 
-        atoms = [atom for atom in sorted(self.base) if not atom.startswith("(= ")]
-        rows = join.close(join.facts(self.domain, atoms), accept)
-        reached = [atom_text(name, row) for name, each in rows.items() for row in each]
-        return self.base.union(reached)
-
-    def _operations(self, go_on: Callable[[int], None]) -> Iterator[Operation]:
-        order = {name: number for number, name in enumerate(self.domain.types)}
-        for action, rows in self._rules.values():
-            for row in sorted(rows, key=lambda row: [order[word] for word in row]):
+        reached = join.close(join.facts(domain, sorted(self.base)), accept)
+        atoms = [atom_text(name, row) for name, each in reached.items() for row in each]
+        self._possible = self.base.union(atoms)
+        order = {name: number for number, name in enumerate(domain.types)}
+        self.steps = list[GroundStep]()
+        for schema, rule in rules.items():
+            for row in sorted(rows[rule], key=lambda row: [order[word] for word in row]):
                 go_on(0)
-                operation = self._operation(action, row)
-                if operation is not None:
-                    yield operation
+                self.steps.append(self._ground(domain, schema, row))
+        self.moving = frozenset(chain(*[each.adds | each.deletes for each in self.steps]))
+        self._names = join.names.union(map(head_of, self.moving))
 
-    def _operation(self, action: Schema, row: tuple[str, ...]) -> Operation | None:
-        binding = dict(zip([name for name, _ in action.variables], row, strict=True))
-        condition = self._condition(action.start, binding)
-        if condition is None:
-            return None
-        adds, deletes = set[str](), set[str]()
-        effects = list[tuple[Condition, str, bool]]()
-        changes = list[Change]()
-        for effect in action.effects:
-            if effect.is_numeric and effect.name not in self.domain.computed:
-                continue
-            for inner in self.domain.bindings(effect.variables, binding):
-                text = atom_text(effect.name, bound(effect.terms, inner))
-                when = self._condition([effect.condition], inner)
-                if when is None:
-                    continue
-                if effect.is_numeric:
-                    amount = grounded(effect.amount, inner)
-                    changes.append(Change(when, effect.kind, text, amount))
-                elif when == Condition():
-                    (adds if effect.kind == "add" else deletes).add(text)
-                else:
-                    effects.append((when, text, effect.kind == "add"))
-        step = self.domain.step(action.name, row)
-        deletes = (deletes - adds) & self._possible
-        cost = cost_of(self.domain, step)
-        sets = frozenset(deletes), frozenset(adds)
-        return Operation(step, condition, *sets, tuple(effects), tuple(changes), cost)
+    def covers(self, state: State) -> bool:
+        """Whether the steps are all that matter for a state."""
+        strange = [atom for atom in state - self._possible if not atom.startswith("(= ")]
+        return not any(head_of(atom) in self._names for atom in strange)
 
-    def _condition(self, formulas: Iterable[Formula], binding: Binding) -> Condition | None:
-        """Return formulas as a condition; None if it never holds."""
-        needs, denies = set[str](), set[str]()
-        others, tests = list[Formula](), list[Formula]()
-        for part in conjuncts(self._ground(formula, binding) for formula in formulas):
-            head = part[0]
-            if head == "atom":
-                needs.add(part[1])
-            elif head == "not" and part[1][0] == "atom":
-                denies.add(part[1][1])
-            elif any(texts_in(part)):
-                tests.append(part)
-            elif _atoms_in(part):
-                others.append(part)
-            elif not _holds(part, frozenset()):
-                return None
-        if not needs <= self._possible:
-            return None
-        denies &= self._possible
-        return Condition(frozenset(needs), frozenset(denies), tuple(others), tuple(tests))
+    def _rule(self, domain: Domain, schema: Schema) -> Rule:
+        """Return the rule of an action as if nothing were deleted, and without numbers."""
+        needed = self._needed(schema)
+        heads = [(e.name, e.terms) for e in schema.effects if e.kind == "add" and not e.variables]
+        literals = with_types(domain, schema.variables, needed)
+        return Rule(schema.variables, literals, heads=heads)
 
-    def _ground(self, formula: Formula, binding: Binding) -> Formula:
-        """Return a formula with objects for its variables, and without quantifiers."""
-        head, *parts = formula
-        if head == "atom":
-            return head, atom_text(parts[0], bound(parts[1], binding))
-        if head == "same":
-            first, second = bound(parts, binding)
-            return TRUE if first == second else FALSE
-        if head == "not" and parts[0][0] == "same":
-            return FALSE if self._ground(parts[0], binding) == TRUE else TRUE
-        if head in ("forall", "exists"):
-            each = self.domain.bindings(parts[0], binding)
-            inner = [self._ground(parts[1], wider) for wider in each]
-            return "and" if head == "forall" else "or", *inner
-        if head in ("and", "or", "not"):
-            return head, *(self._ground(part, binding) for part in parts)
-        return head, *(grounded(number, binding) for number in parts)
+    def _needed(self, schema: Schema) -> list[Literal]:
+        """Return the atoms that must be true at the start, derived ones aside."""
+        late = [*schema.over_all, *schema.end]
+        provided = {effect.name for effect in schema.start_effects}
+        parts = [*schema.start, *(part for part in late if part[1] not in provided)]
+        needed = [(part[1], part[2]) for part in conjuncts(parts) if part[0] == "atom"]
+        return [literal for literal in needed if literal[0] not in self._derived]
 
-    # ------------------------------------------------------------ graphs to search
+    def _ground(self, domain: Domain, schema: Schema, row: tuple[str, ...]) -> GroundStep:
+        step = domain.step(schema.name, row)
+        binding = binding_of(domain, step)
+        adds = [effect for effect in schema.effects if effect.kind == "add"]
+        deletes = [effect for effect in schema.effects if effect.kind == "delete"]
+        needs = [atom_text(name, bound(terms, binding)) for name, terms in self._needed(schema)]
+        changed = [frozenset(affected_atoms(domain, each, binding)) for each in (adds, deletes)]
+        return GroundStep(step, frozenset(needs), *changed)
 
     def plan(
         self, problem: Problem, cap: float, go_on: Callable[[], None] = lambda: None
     ) -> tuple[Step, ...] | None:
         """Return a plan of least cost; None proves that there is none. Raises as `cheapest`."""
-        goal = self._condition(problem.wanted, {})
-        if goal is None:
-            return None
-        domain, state = problem.domain, problem.state
-        values = Values(domain, state, problem.costs)
-        limits = dict[str, Exact]()
-        tests = list[Formula]()
-        for test in goal.tests:
-            raised = [text for text in self._raised if test[:2] == ("<=", ("n", text))]
-            if raised and raised[0] not in limits:
-                limits[raised[0]] = self._value(values, test[2]) - self._value(values, test[1])
-            else:
-                tests.append(test)
-        moving = self._moving | goal.read
-        lasting = state - moving
-        if not goal.needs <= lasting | moving:
-            return None
-        goal = goal._replace(needs=goal.needs & moving, tests=tuple(tests))
-        read = set(chain(*map(texts_in, tests)))
-        further = sorted(read.difference(self._changed))
-        for text in further:
-            self._value(values, ("n", text))
-        texts = [text for text in self._changed if text not in self._raised or text in read]
-        texts += filter(self._is_computed, further)
-        fixed = tuple(values.value_of(text) for text in self._fixed if text not in texts)
-        weights = frozenset(problem.weights.items())
-        key = goal, lasting & self._needed, weights, tuple(limits), tuple(texts), fixed
-        if key not in self._graphs:
-            if len(self._graphs) >= _MOST_GRAPHS:
-                self._graphs.pop(next(iter(self._graphs)))
-            possible = list(self._priced(problem, moving, texts, tuple(limits), values))
-
-            def values_of(numbers: Mapping[str, Exact | None]) -> Values:
-                return Values(domain, frozenset(), problem.costs, computed=numbers)
-
-            self._graphs[key] = TaskGraph(goal, possible, texts, values_of)
-        start = state & moving, tuple(values.value_of(text) for text in texts)
-        path = cheapest(self._graphs[key], start, tuple(limits.values()), cap, go_on)
+        graph = TaskGraph(self, problem)
+        limits = tuple(graph.limits.values())
+        path = cheapest(graph, graph.start, limits, cap, go_on)
         return None if path is None else tuple(move.what for move in path.moves)
 
-    def _priced(
-        self,
-        problem: Problem,
-        moving: State,
-        texts: Sequence[str],
-        limited: Sequence[str],
-        values: Values,
-    ) -> Iterator[tuple[Operation, list[Exact]]]:
-        """Yield the operations that the lasting facts allow, with their costs and uses."""
-        for operation in self.operations:
-            weight = problem.weights.get(operation.step, 1)
-            condition = operation.condition
-            needs = condition.needs & moving
-            if not weight or not condition.needs - needs <= problem.state:
-                continue
-            amounts = [self._value(values, operation.cost) * weight]
-            uses = [each for each in operation.changes if each.text in limited]
-            for text in limited:
-                rises = [self._value(values, each.amount) for each in uses if each.text == text]
-                amounts.append(sum(rises))
-            if min(amounts) < 0:
-                raise UnsearchableError(f"{operation.step} costs less than nothing")
-            changes = tuple(each for each in operation.changes if each.text in texts)
-            condition = condition._replace(needs=needs)
-            yield operation._replace(condition=condition, changes=changes), amounts
 
-    def _value(self, values: Values, number: Number) -> Exact:
-        value = values.number(number, {})
+def _further_rules(domain: Domain, schema: Schema, rule: Rule) -> Iterator[Rule]:
+    """Yield the rules of the effects of an action on further variables."""
+    for effect in schema.effects:
+        if effect.kind == "add" and effect.variables:
+            variables = schema.variables + effect.variables
+            literals = with_types(domain, effect.variables, rule.literals)
+            yield Rule(variables, literals, heads=[(effect.name, effect.terms)])
+
+
+class TaskGraph:
+    """The states that steps lead to from that of a problem, by the semantics of `validate`.
+
+    A number that steps only raise, and that the goal limits, is no part of a state: it is a use of
+    the moves. The lower bounds are the shortest paths to a goal atom in a relaxed graph of atoms:
+    of the atoms that a step needs, it keeps only one.
+    """
+
+    def __init__(self, task: Grounded, problem: Problem) -> None:
+        self._problem = problem
+        self._domain = domain = problem.domain.with_numbers(problem.costs)
+        self._moving = task.moving
+        self._values = Values(domain, problem.state, problem.costs)
+        goals = list(conjuncts(problem.wanted))
+        raised = _raised(domain)
+        bounds = [goal for goal in goals if goal[0] == "<=" and names_in([goal[1]]) & raised]
+        self._goals = [goal for goal in goals if goal not in bounds]
+        raised -= names_in([*self._goals, *(bound for _, _, bound in bounds)])
+        self.limits: dict[str, Exact] = {}
+        for goal in bounds:
+            _, left, right = goal
+            text = text_of(left)
+            if left[0] != "n" or left[1] not in raised or text in self.limits:
+                raise UnsearchableError(f"{text} is limited by more than a number")
+            self.limits[text] = self._value(right) - self._value(left)
+        for goal in self._goals:
+            if goal[0] in ("<", "<=", "="):
+                self._value(("+", *goal[1:]))
+        facts = [fact for fact in problem.state if head_of(fact) not in raised]
+        self.start = frozenset(facts)
+        self._least: dict[State, tuple[float, Sequence[float]]] = {}
+        self._steps = list(self._priced(task))
+        self._by_need: dict[str | None, list[int]] = {}
+        needed = Counter(chain.from_iterable(each.needs for each, _, _ in self._steps))
+        for number, (each, _, _) in enumerate(self._steps):
+            rarest = min(sorted(each.needs), key=needed.__getitem__, default=None)
+            self._by_need.setdefault(rarest, []).append(number)
+        atoms = [text_of(goal) for goal in self._goals if goal[0] == "atom"]
+        self._atoms = [atom for atom in atoms if head_of(atom) not in domain.derived]
+        self._distances = list[list[dict[str | None, float]]]()
+        for amount in range(1 + len(self.limits)):
+            arcs = list(self._arcs(amount))
+            self._distances.append([distances(arcs, [atom]) for atom in sorted(self._atoms)])
+
+    def _priced(self, task: Grounded) -> Iterator[tuple[GroundStep, Number, tuple[Exact, ...]]]:
+        """Yield the steps that the lasting facts allow, with their costs and uses."""
+        for each in task.steps:
+            step = each.step
+            weight = self._problem.weights.get(step, 1)
+            if not weight or not each.needs - self._moving <= self.start:
+                continue
+            cost = cost_of(self._domain, step)
+            if not any(head_of(text) in self._domain.computed for text in texts_in(cost)):
+                cost = self._value(cost)
+            binding = binding_of(self._domain, step)
+            uses: dict[str, Exact] = dict.fromkeys(self.limits, 0)
+            for effect in self._domain.schema_of[step.schema].effects:
+                text = atom_text(effect.name, bound(effect.terms, binding))
+                if effect.is_numeric and text in uses:
+                    uses[text] += self._value(substituted(effect.amount, binding))
+            if min(0 if isinstance(cost, tuple) else cost, *uses.values(), 0) < 0:
+                raise UnsearchableError(f"{step} costs less than nothing")
+            moving = each._replace(needs=each.needs & self._moving)
+            yield moving, cost if weight == 1 else ("*", weight, cost), tuple(uses.values())
+
+    def _value(self, number: Number) -> Exact:
+        value = self._values.number(number, {})
         if value is None:
-            unknown = [text for text in texts_in(number) if values.value_of(text) is None]
-            message = f"{unknown[0]} is needed but has no value; state '(= {unknown[0]} NUMBER)'"
-            file = self.domain.problem_file
-            raise UnsupportedPddlError(f"{message} in :init, or hand it in with the problem", file)
+            texts = sorted(texts_in(number))
+            unknown = next(text for text in texts if self._values.value_of(text) is None)
+            message = f"{unknown} is needed but has no value; state '(= {unknown} NUMBER)' in"
+            file = self._domain.problem_file
+            raise UnsupportedPddlError(f"{message} :init, or hand it in with the problem", file)
         return value
+
+    def is_goal(self, state: State) -> bool:
+        """Whether the goal holds."""
+        return goal_holds(self._domain, state, self._goals)
+
+    def moves(self, state: State) -> Iterator[Move[State, Step]]:
+        """Yield the moves that are possible in a state and change it."""
+        domain = self._domain
+        numbers = list(self._by_need.get(None, ()))
+        for atom in state & self._moving:
+            numbers += self._by_need.get(atom, ())
+        for number in sorted(numbers):
+            (step, needs, _, _), cost, uses = self._steps[number]
+            if not needs <= state or missing_at_start(domain, step, state) is not None:
+                continue
+            after = ended(domain, step, started(domain, step, state))
+            price = Values(domain, state, self._problem.costs).number(cost, {})
+            if after != state and price is not None:
+                if price < 0:
+                    raise UnsearchableError(f"{step} costs less than nothing")
+                yield Move(after, price, uses, step)
+
+    def least(self, state: State) -> tuple[float, Sequence[float]]:
+        """Return lower bounds: the distances of the farthest goal atom."""
+        atoms = state & self._moving
+        if atoms not in self._least:
+            bounds = list[float]()
+            for by_goal in self._distances:
+                nearest = [min(far.get(a, inf) for a in (None, *atoms)) for far in by_goal]
+                bounds.append(max(nearest, default=0))
+            self._least[atoms] = bounds[0], bounds[1:]
+        return self._least[atoms]
+
+    def _arcs(self, amount: int) -> Iterator[tuple[str | None, str, Any]]:
+        """Yield the arcs of the relaxed graph: from an atom, or None for anywhere."""
+        for (_, needs, adds, deletes), cost, uses in self._steps:
+            before = min(needs & deletes or needs, default=None)
+            length = (0 if isinstance(cost, tuple) else cost, *uses)[amount]
+            for after in sorted(adds):
+                yield before, after, length
+
+
+def _raised(domain: Domain) -> set[str]:
+    """Return the numbers that steps only raise, by fixed amounts, and that no step reads."""
+    raised = set(domain.computed)
+    for schema in domain.schema_of.values():
+        raised -= names_in([*schema.conditions, *(schema.duration or ())])
+        for effect in schema.effects:
+            raised -= names_in([effect.condition, effect.amount])
+            if (
+                effect.kind != "increase"
+                or effect.condition != TRUE
+                or effect.variables
+                or names_in([effect.amount]) & domain.computed
+            ):
+                raised.discard(effect.name)
+    for axioms in domain.axioms.values():
+        raised -= names_in(axiom.condition for axiom in axioms)
+    return raised

@@ -25,8 +25,7 @@ from rosa_pddl import (
     load_domain,
 )
 from rosa_pddl.belief import assumptions, without_hopeless
-from rosa_pddl.domain import without_feasibility
-from rosa_pddl.exceptions import nearest
+from rosa_pddl.domain import nearest, without_feasibility
 from rosa_pddl.reader import conditions
 from rosa_pddl.replanning import diagnosis
 

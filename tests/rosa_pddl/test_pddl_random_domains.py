@@ -136,7 +136,7 @@ def test_what_is_derived_after_the_start_of_a_step_is_derived_from_what_the_star
     condition, start_effects, fewest
 ):
     domain = parse_domain(
-        f"""(define (domain d) (:types lamp room) (:functions (heat ?r - room))
+        f"""(define (domain d) (:types lamp room) (:constants s - room c - lamp) (:functions (heat ?r - room))
           (:predicates (lit ?l - lamp) (in ?l - lamp ?r - room) (seen ?r - room) (open ?q ?r - room))
           (:derived (bright ?r - room) (exists (?l - lamp) (and (lit ?l) (in ?l ?r))))
           (:derived (dark ?r - room) (not (bright ?r)))
@@ -144,7 +144,7 @@ def test_what_is_derived_after_the_start_of_a_step_is_derived_from_what_the_star
           (:derived (beside ?q ?r - room) (or (open ?q ?r) (exists (?p - room) (and (open ?q ?p) (beside ?p ?r)))))
           (:durative-action look :parameters (?l - lamp ?r - room) :duration (= ?duration 1)
             :condition (and {condition}) :effect (and {start_effects} (at end (seen ?r)))))""",
-        """(define (problem p) (:domain d) (:objects a b c - lamp r s t - room)
+        """(define (problem p) (:domain d) (:objects a b - lamp r t - room)
           (:init (in a r) (in b r) (in c s) (lit b) (= (heat r) 0) (= (heat s) 0) (= (heat t) 0))
           (:goal (and (seen r) (seen s))))""",
     )

@@ -90,11 +90,9 @@ def test_a_problem_without_a_goal_is_done_at_once(tmp_path, goal):
     assert world.executor.plans == ()
 
 
-@pytest.mark.parametrize(("goal", "count"), [("(:goal)", 0), ("(:goal (done) (ok a))", 2)])
+@pytest.mark.parametrize(("goal", "count"), [("(:goal)", 8), ("(:goal (done) (ok a))", 16)])
 def test_a_goal_of_none_or_several_conditions_is_refused_with_what_to_write(tmp_path, goal, count):
-    with pytest.raises(
-        PddlError, match=rf"problem\.pddl:2:2: found {count} conditions .*join them with \(and"
-    ):
+    with pytest.raises(PddlError, match=rf"problem\.pddl:2:{count}: expected"):
         load_text(tmp_path, PLAIN, PROBLEM.replace("(:goal (done))", goal))
 
 
@@ -204,9 +202,7 @@ PROBLEM = (
 
 def test_types_that_are_above_one_another_are_refused_but_one_above_itself_is_on_top(tmp_path):
     two = PLAIN.replace("(:types thing)", "(:types thing - part part - thing)")
-    with pytest.raises(
-        PddlError, match=r"domain\.pddl:1:.*the types part, thing are above one another"
-    ):
+    with pytest.raises(PddlError, match=r"domain\.pddl:1:.*'part', which is above itself"):
         load_text(tmp_path, two, PROBLEM)
     itself = PLAIN.replace("(:types thing)", "(:types thing part - thing)")
     assert load_text(tmp_path, itself, PROBLEM).schemas == ("go",)

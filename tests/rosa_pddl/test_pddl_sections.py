@@ -50,9 +50,13 @@ def texts(name):
 def shuffled(text, rng):
     """The same sections in another order; all but the first two words of the file."""
     root = parse(text, "file")
-    sections = [str(node) for node in root.children[2:]]
+    sections = [as_text(section) for section in root[2:]]
     rng.shuffle(sections)
-    return "\n".join([f"(define {root.children[1]}", *sections, ")"])
+    return "\n".join([f"(define {as_text(root[1])}", *sections, ")"])
+
+
+def as_text(tree):
+    return f"({' '.join(map(as_text, tree))})" if isinstance(tree, tuple) else str(tree)
 
 
 @settings(max_examples=8)
@@ -80,7 +84,7 @@ def test_what_unified_planning_refuses_is_placed_wherever_its_section_stands(rng
     with pytest.raises(PddlError) as caught:
         parse_domain(text, PROBLEM)
     assert caught.value.line == text[: text.index("(odd ?t)")].count("\n") + 1
-    assert "'odd' are of other types than declared: (odd ?o - other)" in str(caught.value)
+    assert "argument 1 of 'odd' must be other" in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -101,102 +105,93 @@ def test_a_duration_may_be_of_any_form(duration):
     assert [step.schema for step in result.steps] in (["go"], ["jump"])
 
 
-@pytest.mark.parametrize("word", [":durativ-actions", "typing"])
+@pytest.mark.parametrize("word", [":durativ-actions"])
 def test_a_misspelt_requirement_does_no_harm(word):
     domain = read("(:types", f"(:requirements :STRIPS {word} :adl)\n  (:types")
     assert domain.check(FakeKb(())) == ()
 
 
 REFUSED = {
-    "name with a digit first": (
-        ("(:objects a", "(:objects 1a a"),
-        3,
-        "the object '1a', expected a name: a letter",
-    ),
-    "name with an accent": (
-        ("(:objects a", "(:objects é a"),
-        3,
-        "the object 'é', expected a name: a letter",
-    ),
+    "name with an accent": (("(:objects a", "(:objects é a"), 3, "invalid characters in 'é'"),
     "parameter twice": (
         (":parameters (?t - thing)", ":parameters (?t ?t - thing)"),
         6,
-        "the parameter '?t' again",
+        "in durative action 'go': parameter ?t declared twice",
     ),
     "untimed condition": (
         ("(at start (ok ?t))", "(ok ?t)"),
         8,
-        "expected '(at start ...)' or '(at end ...)' or '(over",
+        "in durative action 'go': conditions of durative actions must be under at start, at end or over all",
     ),
     "untimed effect": (
         ("(at end (done ?t))", "(done ?t)"),
         9,
-        "expected '(at start ...)' or '(at end ...)' around it",
+        "in durative action 'go': effects of durative actions must be under at start or at end (or be continuous)",
     ),
     "effect over all": (
         ("(at end (done ?t))", "(over all (done ?t))"),
         9,
-        "or '(at end ...)' around it",
+        "in durative action 'go': effects of durative actions must be under at start or at end (or be continuous)",
     ),
     "timed in an instant": (
         (":precondition (ok ?t)", ":precondition (at start (ok ?t))"),
         12,
-        "unknown predicate 'at'",
+        "in action 'jump': at start / at end / over all only belong at the top of durative conditions",
     ),
     "number as an effect": (
         ("(done ?t) (increase", "(far ?t) (increase"),
         13,
-        "'(far ?t)', which is a number, expected a pr",
+        "in action 'jump': unknown predicate 'far'",
     ),
     "number as a condition": (
         ("(at start (ok ?t))", "(at start (not (far ?t)))"),
         8,
-        "compare it, as in (> (x) 0)",
+        "found '(far ?t)', which is a number, expected a predicate; compare it, as in (> (x) 0)",
     ),
     "number as a goal": (
         ("(:goal (done a))", "(:goal (far a))"),
         5,
-        "'(far a)', which is a number, expected a pred",
+        "found '(far a)', which is a number, expected a predicate; compare it, as in (> (x) 0)",
     ),
     "number as a fact": (
         ("(:init (ok a))", "(:init (far a))"),
         4,
-        "'(far a)', which is a number, expected a predi",
+        "found '(far a)', which is a number, expected a predicate; compare it, as in (> (x) 0)",
     ),
     "number denied": (
         ("(:init (ok a))", "(:init (ok a) (not (far a)))"),
         4,
-        "'(far a)', which is a number, expected",
+        "found '(far a)', which is a number, expected a predicate; compare it, as in (> (x) 0)",
     ),
     "predicate that changes": (
         ("(increase (total-cost) 2)", "(assign (done ?t) 2)"),
         13,
-        "predicate, expected a number",
+        "in action 'jump': unknown function 'done'",
     ),
     "predicate as a factor": (
         ("(increase (total-cost) 2)", "(scale-up (ok ?t) 2)"),
         13,
-        "predicate, expected a number",
+        "in action 'jump': unknown function 'ok'",
     ),
     "predicate as an amount": (
         ("(total-cost) 2)", "(total-cost) (ok ?t))"),
         13,
-        "is a predicate, expected a number",
+        "in action 'jump': unknown function 'ok'",
     ),
     "predicate compared": (
         ("(:goal (done a))", "(:goal (> (done a) 1))"),
         5,
-        "is a predicate, expected a number",
+        "in the goal: unknown function 'done'",
     ),
     "predicate with a value": (
         ("(:init (ok a))", "(:init (= (ok a) 1))"),
         4,
-        "is a predicate, expected a number",
+        "found '(ok a)', which is a predicate, expected a number",
     ),
     "difference of three": (
         ("(total-cost) 2)", "(total-cost) (- 3 1 1))"),
         13,
-        "found 3 parts in (- 3 1 1), expected 2",
+        "'-' needs one or two operands",
     ),
     "division by nothing": (
         ("(total-cost) 2)", "(total-cost) (/ 1 0))"),
@@ -206,22 +201,17 @@ REFUSED = {
     "value that is none": (
         ("(:init (ok a))", "(:init (ok a) (= (far a) (far a)))"),
         4,
-        "'(far a)', expected a number",
+        "initial value of 'far' must be a number",
     ),
     "value too large": (
         ("(:init (ok a))", "(:init (ok a) (= (far a) 1e309))"),
         4,
-        "'1e309', expected a number of at most 1e308",
-    ),
-    "nothing to quantify": (
-        ("(:goal (done a))", "(:goal (exists () (done a)))"),
-        5,
-        "expected a variable such as '?x'",
+        "number out of range: 1e309",
     ),
     "times within or": (
         ("(at start (ok ?t))", "(or (at start (ok ?t)) (at end (ok ?t)))"),
         8,
-        "around it",
+        "found '(or (at start (ok ?t)) (at end (ok ?t)))', expected '(at start ...)', '(over all ...)' or '(at end ...)'",
     ),
 }
 UNSUPPORTED = {

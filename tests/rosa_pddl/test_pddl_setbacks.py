@@ -208,5 +208,5 @@ def test_what_is_no_finite_number_is_refused_by_its_name(ways, bad):
 
 @pytest.mark.parametrize("amount", ["nan", "inf", "1e400"])
 def test_a_file_with_what_is_no_number_to_reckon_with_is_refused_with_its_place(amount):
-    with pytest.raises(PddlError, match=rf"problem\.pddl:2.*{amount}"):
+    with pytest.raises(PddlError, match=r"problem\.pddl:2:\d+: .*number"):
         parse_domain(WAYS, PROBLEM.replace("(= (far) 4)", f"(= (far) {amount})"))
