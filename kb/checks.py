@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
-from itertools import combinations, groupby, pairwise
+from itertools import groupby, pairwise
 from math import inf
 from pathlib import Path
 from types import MappingProxyType
@@ -13,8 +13,10 @@ from typing import Final
 from kb.elements import KINDS, Constraint, Element, Owner, RequiredActionFact, listed, text
 from kb.exceptions import UnknownName
 from kb.network import Network, Node
-from kb.remedies import FALSE, Conjunction, Interval, Requirements, bounds
+from kb.remedies import FALSE, Interval, Requirements, bounds
 
+QUICK: Final = 4
+"""How many alternatives suffice to see that an element is possible."""
 MOST_ACTIONS: Final = 4
 PREFERRED: Final = 32
 """The most preferred alternatives with which each one is compared."""
@@ -205,9 +207,13 @@ def _contradictions(network: Network) -> Iterator[Finding]:
 
     A finding names the actions that its root makes impossible; what is between has no findings.
     """
+    quick = Requirements(limit=QUICK)
     requirements = Requirements()
-    nodes = [node for node in network.present() if node.kind not in ("attribute", "constraint")]
-    impossible = {node: None for node in nodes if requirements.of(node) == FALSE}
+    impossible: dict[Node, None] = {}
+    for node in network.present():
+        is_element = node.kind not in ("attribute", "constraint")
+        if is_element and not quick.of(node).conjunctions and requirements.of(node) == FALSE:
+            impossible[node] = None
     for node in impossible:
         broken = [part in impossible for part in node.requires]
         is_consequence = any(broken) and (all(broken) or node.kind != "component")
@@ -224,16 +230,12 @@ def _contradictions(network: Network) -> Iterator[Finding]:
 
 
 def _contradiction(node: Node) -> Iterator[str]:
-    """Yield the own constraints of an element that exclude one another, or every number."""
+    """Yield the own constraints of an element that leave no value of an attribute."""
     for attribute, interval in bounds(node).items():
-        own = [each.constraint for each in node.constraints]
-        own = [constraint for constraint in own if constraint.attribute == attribute]
-        pairs = [(constraint, constraint) for constraint in own] + list(combinations(own, 2))
-        for first, second in pairs if interval.is_empty else ():
-            if Interval.of(first).meet(Interval.of(second)).is_empty:
-                both = f"{first} and {second}, which no value satisfies both"
-                yield both if first is not second else f"{first}, which no number satisfies"
-                break
+        if interval.is_empty:
+            own = [each.constraint for each in node.constraints]
+            texts = [str(constraint) for constraint in own if constraint.attribute == attribute]
+            yield f"{listing(texts)}, which no value satisfies"
 
 
 def _consequence(node: Node, impossible: Collection[Node]) -> str:
@@ -250,25 +252,15 @@ def _consequence(node: Node, impossible: Collection[Node]) -> str:
 
 
 def _conflict(node: Node, requirements: Requirements) -> str:
-    """Name two needs that exclude one another; else all needs."""
-    needs: dict[str, list[Conjunction]] = {}
-    for constraint in node.constraints:
-        own = requirements.of(constraint).conjunctions
-        needs[f"its own constraint {constraint.name}"] = list(own)
-    for part in node.requires:
+    """Name the needs of an element, with their intervals if there is only one way to meet them."""
+    needs = [f"its own constraint {constraint.name}" for constraint in node.constraints]
+    if node.kind == "component":
+        needs.append("each of its configurations")
+    for part in node.requires if node.kind != "component" else ():
         ways = requirements.of(part).conjunctions
-        if node.kind == "component":
-            needs.setdefault("each of its configurations", []).extend(ways)
-            continue
-        bounded = [
-            interval.text(name)
-            for name, interval in (ways[0].items() if len(ways) == 1 else ())
-            if isinstance(name, str)
-        ]
-        needs[f"{part} ({' and '.join(bounded)})" if bounded else str(part)] = list(ways)
-    for (name, mine), (other, theirs) in combinations(needs.items(), 2):
-        if not any(way.meet(their) for way in mine for their in theirs):
-            return f"{name} and {other} exclude one another, whatever is measured"
+        only = ways[0] if len(ways) == 1 else {}
+        bounded = [only[name].text(name) for name in only if isinstance(name, str)]
+        needs.append(f"{part} ({' and '.join(bounded)})" if bounded else str(part))
     return f"{listing(needs, 8)} cannot be met together, whatever is measured"
 
 

@@ -417,10 +417,8 @@ class Model:
                 element has.
             fields: the new values. Constraint: `value`, `hysteresis`, `dwell`; design: `priority`;
                 configuration: `priority`, `parameters`; function: `always_improve`; component:
-                    `always_improve`,
-                `stops_to_configure`; attribute: `max_age`, `when_stale`, `agreement`,
-                `forecasting`, `rates`;
-                estimation: `value`, `kind`.
+                `always_improve`, `stops_to_configure`; attribute: `max_age`, `when_stale`,
+                `agreement`, `forecasting`, `rates`; estimation: `value`, `kind`.
         """
         changed: Changeable = self._own("what is changed", element, *_NAMED, Constraint, Estimation)
         kind = KINDS[type(changed)]
