@@ -374,7 +374,7 @@ class State:
     # ---------------------------------------------------------------- time
 
     def due(self, now: float) -> tuple[float, str, Node] | None:
-        """Return what time has caused until now [s], the first of it: when, the verb, and of what."""
+        """Return what time has caused first until now [s]: when, the verb, and of what."""
         while now >= self.next_due:
             dues = [(time, node.index, what, node) for (what, node), time in self._due.items()]
             self.next_due, _, what, node = min(dues, default=(NEVER, 0, "", None))

@@ -125,7 +125,8 @@ def test_amended_base_answers_as_its_twin_and_its_replay(model, data):
         if data.draw(st.booleans()):
             amend(twins, data)
         else:
-            # constraints are numbered, and an assertion about one would be about another after a removal
+            # constraints are numbered, and an assertion about one would be about another after a
+            # removal
             is_safe = events(model).filter(lambda event: "constraint" not in str(event[1:2]))
             twins.happen(data.draw(is_safe))
         twins.agree()

@@ -1,4 +1,4 @@
-"""The log: every event is data, can be written as JSON, and told to another base, which then knows the same."""
+"""The log: every event is data, can be written as JSON, and replayed in another base."""
 
 import json
 from types import MappingProxyType

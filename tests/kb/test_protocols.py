@@ -1,4 +1,4 @@
-"""What is handed to a manager is looked at where it is handed in, and what it answers is: a slip is no broken robot."""
+"""What a manager is given is checked at once: a slip in a program is no broken robot."""
 
 import pytest
 from managed_stand_ins import Scripted, base, rover

@@ -1,4 +1,4 @@
-"""What if: a situation answers as if its assumptions were facts, and leaves the facts as they are."""
+"""What if: a situation answers as if its assumptions were facts, which stay as they are."""
 
 import copy
 

@@ -44,7 +44,10 @@ def run_together(*jobs):
 
 @pytest.fixture
 def kb():
-    """Two ways to see, by two attributes; an action that needs one of them, and one that needs the first."""
+    """Two ways to see, by two attributes.
+
+    An action that needs one of them, and one that needs the first.
+    """
     model = Model("twofold")
     see = model.function("see", always_improve=True)
     for number in (1, 2):
