@@ -13,8 +13,7 @@ can be changed while
 knowledge bases use it: the next question to them sees the change.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -137,7 +136,6 @@ class Model:
         self._facts: list[Fact] = []
         self._observers: list[ref[Observer]] = []
         self._changing = RLock()
-        self._batch: list[Changeable] | None = None
         self.pending: Amended | None = None
         self.notes: list[str] = []
         self.places: dict[Element | Constraint, str] = {}
@@ -264,7 +262,7 @@ class Model:
             raise DuplicateName(
                 f"{kind} {name!r} is declared already; names are unique within a kind"
             )
-        if expressions or self._observers or self._batch is not None:
+        if expressions or self._observers:
             self._declare(element, *[_constraint((element,), each) for each in expressions])  # type: ignore[arg-type]  # constrainable, if any
         else:
             table[name] = element  # a single step, and there is no observer
@@ -313,7 +311,9 @@ class Model:
         """
         self._facts.append(self._checked(fact))
 
-    def state(self, cls: type, values: Mapping[str, Any]) -> Changeable | None:
+    def state(
+        self, cls: type, values: Mapping[str, Any], constraints: Iterable[Expression] = ()
+    ) -> Changeable | None:
         """Declare an element, constraint, estimation or fact of a class by its fields."""
         others = dict(values)
         if cls is Constraint:
@@ -321,7 +321,7 @@ class Model:
         if cls is Estimation:
             return self.add_estimation(**others)
         if issubclass(cls, Element):
-            declared: Element = self.declare(cls, others.pop("name", ""), **others)
+            declared: Element = self.declare(cls, others.pop("name", ""), constraints, **others)
             return declared
         fact: Any = cls(**others)
         self.add_fact(fact)
@@ -480,10 +480,12 @@ class Model:
         elif how == "changed":
             reference, values = written
             self.change(_referred(self, reference), **values)
+        elif written[0][0] == "constraint":
+            targets = [_referred(self, each) for each in written[0][1]["constrained"]]
+            self.constrain_all(targets, map(_expression, written))
         else:
-            with self.at_once():
-                for row in written:
-                    _declare(self, *row)
+            (words, values), *constraints = written
+            _declare(self, words, values, map(_expression, constraints))
 
     def settle(self) -> None:
         """Complete a change that was interrupted, unless another thread is just making it."""
@@ -605,33 +607,16 @@ class Model:
             self._own("attribute", expression.attribute, Attribute)
         return expressions
 
-    @contextmanager
-    def at_once(self) -> Iterator[None]:
-        """Make all declarations within the `with` statement one change, or none of them."""
-        batch = self._batch = []
-        try:
-            yield
-            self._batch = None
-            self._declare(*batch)
-        except BaseException:
-            self._batch = None
-            if self.pending is None:
-                for one in batch:
-                    self._tables[type(one)].pop(_key(one), None)
-            raise
-
     def _declare(self, *added: Changeable) -> None:
-        if self._batch is None and (self._observers or len(added) > 1):
-            self._amend(
-                "declared",
-                added,
-                partial(self._enter, added),
-                lambda: [_row(self, element) for element in added],
-            )
+        if not self._observers and len(added) == 1:
+            self._enter(added)
             return
-        if self._batch is not None:
-            self._batch.extend(added)
-        self._enter(added)
+        self._amend(
+            "declared",
+            added,
+            partial(self._enter, added),
+            lambda: [_row(self, element) for element in added],
+        )
 
     def _enter(self, added: Iterable[Changeable]) -> None:
         for one in added:
@@ -773,14 +758,22 @@ def _referred(model: Model, reference: Sequence[Any]) -> Any:  # noqa: ANN401  #
     return list(table.values())[name] if isinstance(name, int) else table[name]
 
 
-def _declare(model: Model, words: str, plain: Mapping[str, Any]) -> Changeable | None:
-    """Declare what a row describes; a fact is no element."""
+def _declare(
+    model: Model, words: str, plain: Mapping[str, Any], constraints: Iterable[Expression] = ()
+) -> None:
+    """Declare what a row describes."""
     values = dict(plain)
     for name in {"constrained", "restores"} & values.keys():
         values[name] = [_referred(model, each) for each in values[name]]
     for name in {"causer", "element"} & values.keys():
         values[name] = _referred(model, values[name])
-    return model.state(_CLASSES[words], values)
+    model.state(_CLASSES[words], values, constraints)
+
+
+def _expression(row: Sequence[Any]) -> Expression:
+    """Return the comparison in the row of a constraint."""
+    _, values = row
+    return Expression(**{name: values[name] for name in values if name != "constrained"})
 
 
 def differences(then: Model, now: Model) -> list[str]:
