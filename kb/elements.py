@@ -169,21 +169,21 @@ def whole(what: str, value: object, least: int = 1) -> int:
     raise InvalidValue(f"{what} is a whole number from {least}, not {shown(value)}")
 
 
-def choice(what: str, options: type[ChoiceT], given: object) -> ChoiceT:
-    if isinstance(given, options):
-        return given
+def choice(what: str, options: type[ChoiceT], value: object) -> ChoiceT:
+    if isinstance(value, options):
+        return value
     try:
-        return options(str(given))
+        return options(str(value))
     except ValueError:
-        raise UnknownName(what, given, [str(option) for option in options]) from None
+        raise UnknownName(what, value, [str(option) for option in options]) from None
 
 
-def status_of(kind: str, given: object) -> Status:
+def status_of(kind: str, value: object) -> Status:
     """Return a status that elements of a kind can have."""
-    if given not in STATUSES.get(kind, ()):
+    if value not in STATUSES.get(kind, ()):
         known = ", ".join(repr(str(status)) for status in STATUSES.get(kind, ()))
-        raise InvalidValue(f"a {kind} is never {given!s:.60}; it can be {known}")
-    return Status(str(given))
+        raise InvalidValue(f"a {kind} is never {value!s:.60}; it can be {known}")
+    return Status(str(value))
 
 
 def listed(what: str, values: object) -> tuple[Any, ...]:
@@ -325,7 +325,7 @@ class Owner(Protocol):
         name: str,
         constraints: Iterable["Expression"] = (),
         /,
-        **given: object,
+        **stated: object,
     ) -> ElementT: ...
     def constrain_all(
         self, elements: Iterable["Constrainable"], constraints: Iterable["Expression"]
@@ -592,8 +592,8 @@ class Component(_Estimable):
 
         The lowest priority number is tried first.
         """
-        given = {"component": self, "parameters": parameters or {}, "priority": priority}
-        return self.model.declare(Configuration, name, constraints, **given)
+        stated = {"component": self, "parameters": parameters or {}, "priority": priority}
+        return self.model.declare(Configuration, name, constraints, **stated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -623,8 +623,8 @@ class Function(Element):
 
         The lowest priority number is tried first.
         """
-        given = {"function": self, "components": components, "priority": priority}
-        return self.model.declare(FunctionDesign, name, constraints, **given)
+        stated = {"function": self, "components": components, "priority": priority}
+        return self.model.declare(FunctionDesign, name, constraints, **stated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

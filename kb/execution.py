@@ -11,6 +11,7 @@ from kb.elements import ComponentKind, Configuration, is_number, whole
 from kb.exceptions import InvalidValue, ProtocolError
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import (
+    Looking,
     ManagedSystem,
     Operation,
     check_methods,
@@ -62,7 +63,7 @@ class StagedExecutor:
         back_off: float = 0.5,
         hold: float = 300.0,
     ) -> None:
-        check_methods("a managed system", managed, ManagedSystem, ("is_active(component)",))
+        check_methods("a managed system", managed, ManagedSystem, Looking)
         timeouts = dict(timeout_by_component or {})
         whole("the number of attempts", attempts)
         for seconds in (timeout, *timeouts.values()):

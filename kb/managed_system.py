@@ -80,29 +80,34 @@ def wrong_answer(call: str, given: object, answer: object, expected: str) -> Pro
     )
 
 
-def check_methods(role: str, given: object, protocol: type, optional: tuple[str, ...] = ()) -> None:
+class Looking(Protocol):
+    """What a managed system has if it knows which components run."""
+
+    def is_active(self, component: str, /) -> bool | None:
+        """Return at once whether a component runs; None if that is not known."""
+
+
+def check_methods(role: str, given: object, protocol: type, optional: type | None = None) -> None:
     """Raise `ProtocolError` unless an object has the methods of a protocol.
 
     Args:
         role: of the object, in words, such as "a planner".
         given: the object.
         protocol: the class whose public methods the object must have.
-        optional: calls of further methods that are checked if the object has them, such as
-            "choose(kb)".
+        optional: the class whose public methods are checked if the object has them.
     """
     owner = type(given).__name__
     if isinstance(given, type):
         name = given.__name__
         raise ProtocolError(f"{role} is an object; {name} is a class: write {name}(...)")
-    calls = {}
-    for name, function in vars(protocol).items():
-        if not name.startswith("_"):
-            calls[name] = list(signature(function).parameters)[1:]
-    for text in optional:
-        name, _, arguments = text.rstrip(")").partition("(")
+    functions = dict(vars(protocol))
+    for name, function in vars(optional).items() if optional else ():
         if hasattr(given, name):
-            calls[name] = arguments.split(", ")
-    for name, parameters in calls.items():
+            functions[name] = function
+    for name, function in functions.items():
+        if name.startswith("_"):
+            continue
+        parameters = list(signature(function).parameters)[1:]
         method = getattr(given, name, None)
         call = f"{name}({', '.join(parameters)})"
         if not callable(method):

@@ -12,8 +12,15 @@ from typing import Any, Protocol
 from kb.exceptions import InvalidValue, ProtocolError, UnknownName, Unselectable
 from kb.execution import StagedExecutor
 from kb.knowledge_base import KnowledgeBase
-from kb.managed_system import ActivityMonitor, ManagedSystem, check_methods, words_of, wrong_answer
-from kb.planning import PriorityPlanner
+from kb.managed_system import (
+    ActivityMonitor,
+    Looking,
+    ManagedSystem,
+    check_methods,
+    words_of,
+    wrong_answer,
+)
+from kb.planning import Choice, PriorityPlanner
 from kb.records import ReconfigurationPlan
 
 _log = logging.getLogger(__name__)
@@ -39,6 +46,13 @@ class Planner(Protocol):
         """Choose, and return the result of `kb.select`, or None; does not wait."""
 
 
+class Choosing(Protocol):
+    """What a planner has for dry runs."""
+
+    def choose(self, kb: KnowledgeBase) -> Choice | None:
+        """Return the choice that `plan` would select, or None; changes nothing."""
+
+
 class Executor(Protocol):
     """Carries out the pending plan."""
 
@@ -48,59 +62,6 @@ class Executor(Protocol):
 
 Veto = Callable[[ReconfigurationPlan], bool | str | None]
 """Called with a plan; returns None or True to allow it, False or a reason to forbid it."""
-
-
-class VetoGate:
-    """Asks the veto about each plan, and undoes the selection of a forbidden one."""
-
-    def __init__(self, kb: KnowledgeBase, veto: Veto) -> None:
-        if not callable(veto):
-            raise InvalidValue(
-                f"a veto is a function that is called with each plan; {veto!r} cannot be called"
-            )
-        self._kb = kb
-        self._veto = veto
-
-    def check(self) -> bool:
-        """Ask about new plans, abandon the forbidden ones; return whether there was one."""
-        kb = self._kb
-        is_vetoed = False
-        while True:
-            plan = kb.pending_plan
-            if plan is None or any(answer.plan is plan for answer in reversed(kb.history.answers)):
-                return is_vetoed
-            objection = self._objection(plan)
-            kb.record_answer(plan, is_vetoed=bool(objection), reason=objection)
-            if not objection:
-                return is_vetoed
-            _log.info("vetoed: %s, because %s", plan, objection)
-            self._take_back(plan, f"vetoed: {objection}")
-            kb.finish_plan(plan, "abandoned")
-            is_vetoed = True
-
-    def _objection(self, plan: ReconfigurationPlan) -> str:
-        try:
-            answer: object = self._veto(plan)
-        except Exception as error:
-            return words_of(error)
-        if answer is None or answer is True:
-            return ""
-        if answer is False or answer == "":
-            return "no reason was given"
-        if isinstance(answer, str):
-            return answer
-        allowed = "None or True to let a plan pass, else a reason"
-        return f"the veto function answered {answer!r}; it is to answer {allowed}"
-
-    def _take_back(self, plan: ReconfigurationPlan, reason: str) -> None:
-        """Undo exactly the selection that the event of the plan made."""
-        for event in self._kb.log.since(plan.cause or 0):
-            if event.plan is not plan:
-                continue
-            for kind, name, is_selected in event.effects:
-                with suppress(UnknownName):  # it was removed from the model
-                    why_not = reason if is_selected else ""
-                    self._kb.assert_selected((kind, name), not is_selected, why_not)
 
 
 class ConfigurationManager:
@@ -137,8 +98,8 @@ class ConfigurationManager:
             raise ProtocolError(f"a manager works on a kb.KnowledgeBase, not on {kb!r:.80}")
         self._kb = kb
         self._planner = PriorityPlanner() if planner is None else planner
-        check_methods("a planner", self._planner, Planner, ("choose(kb)",))
-        check_methods("a managed system", managed, ManagedSystem, ("is_active(component)",))
+        check_methods("a planner", self._planner, Planner, Choosing)
+        check_methods("a managed system", managed, ManagedSystem, Looking)
         self._executor = StagedExecutor(managed) if executor is None else executor
         check_methods("an executor", self._executor, Executor)
         self._monitors = list(monitors)
@@ -149,7 +110,11 @@ class ConfigurationManager:
             self._monitors.append(ActivityMonitor(managed))
         for monitor in self._monitors:
             check_methods("a monitor", monitor, Monitor)
-        self._gate = None if veto is None else VetoGate(kb, veto)
+        if veto is not None and not callable(veto):
+            raise InvalidValue(
+                f"a veto is a function that is called with each plan; {veto!r} cannot be called"
+            )
+        self._veto = veto
         self._planned_at = -1
 
     def dry_run(self) -> ReconfigurationPlan | None:
@@ -183,21 +148,60 @@ class ConfigurationManager:
             InvalidValue, UnknownName: the planner selects what is unfeasible or unknown; nothing
             is selected.
         """
-        kb, gate = self._kb, self._gate
+        kb = self._kb
         for monitor in self._monitors:
             monitor.observe(kb)
-        if gate is not None:  # somebody else may have made a plan
-            gate.check()
+        self._check_veto()  # somebody else may have made a plan
         plan = None
         revision = kb.revision
         if revision != self._planned_at and kb.pending_plan is None:
             plan = self._planned(revision)
-            is_vetoed = gate is not None and gate.check()
+            is_vetoed = self._veto is not None and self._check_veto()
             self._planned_at = kb.revision if is_vetoed else revision
             if getattr(self._planner, "is_waiting", False):
                 self._planned_at = -1
         self._executor.execute(kb)
         return plan
+
+    def _check_veto(self) -> bool:
+        """Ask the veto about new plans, take back the forbidden ones.
+
+        Return whether there was one.
+        """
+        kb = self._kb
+        is_vetoed = False
+        while self._veto is not None:
+            plan = kb.pending_plan
+            if plan is None or any(answer.plan is plan for answer in reversed(kb.history.answers)):
+                break
+            objection = self._objection(self._veto, plan)
+            kb.record_answer(plan, is_vetoed=bool(objection), reason=objection)
+            if not objection:
+                break
+            is_vetoed = True
+            reason = f"vetoed: {objection}"
+            _log.info("%s: %s", plan, reason)
+            for event in kb.log.since(plan.cause or 0):
+                for kind, name, is_selected in event.effects if event.plan is plan else ():
+                    with suppress(UnknownName):  # it was removed from the model
+                        why_not = reason if is_selected else ""
+                        kb.assert_selected((kind, name), not is_selected, why_not)
+            kb.finish_plan(plan, "abandoned")
+        return is_vetoed
+
+    def _objection(self, veto: Veto, plan: ReconfigurationPlan) -> str:
+        try:
+            answer: object = veto(plan)
+        except Exception as error:
+            return words_of(error)
+        if answer is None or answer is True:
+            return ""
+        if answer is False or answer == "":
+            return "no reason was given"
+        if isinstance(answer, str):
+            return answer
+        allowed = "None or True to let a plan pass, else a reason"
+        return f"the veto function answered {answer!r}; it is to answer {allowed}"
 
     def _planned(self, revision: int) -> ReconfigurationPlan | None:
         """Call the planner; a choice that a change made impossible meanwhile is no plan."""

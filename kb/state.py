@@ -8,6 +8,7 @@ constraint, configuration, component, design, function, action.
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import islice
 from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
@@ -39,7 +40,7 @@ _VALUES: Final[Mapping[str, Callable[[Any], Any]]] = {
     "value": float,
     "time": float,
     "asserted": Status,
-    "votes": lambda votes: tuple(map(tuple, votes)),
+    "silent_until": int,
     "debounced": Debounced.from_json,
     "histories": lambda rows: deque(map(tuple, rows)),
 }
@@ -103,8 +104,7 @@ class State:
         asserted: statuses that stand in place of inferred ones.
         asserted_required: nodes stated to be required, whatever is inferred.
         debounced: what is remembered of each debounced constraint.
-        votes: the newest measurements that count, of each attribute with debounced constraints:
-            (number of the event, value).
+        silent_until: the last event before the measurements that count in debouncing, by attribute.
         reasons: those given with facts, by fact and node.
         parameters: those last set on each component, by its name.
         histories: the newest measurements of each attribute, with the number of the event; shared
@@ -128,7 +128,7 @@ class State:
         self.asserted: dict[Node, Status] = {}
         self.asserted_required: set[Node] = set()
         self.debounced: dict[Node, Debounced] = {}
-        self.votes: dict[Node, tuple[tuple[int, float], ...]] = {}
+        self.silent_until: dict[Node, int] = {}
         self.reasons: dict[tuple[str, Node], Reason] = {}
         self.parameters: dict[str, Parameters] = {}
         self.histories: dict[Node, deque[tuple[float, float, int]]] = {}
@@ -249,7 +249,7 @@ class State:
                 node = network.attributes[name]
                 self.touch(node.constraints)
                 self.stale.add(node)
-                self.votes.pop(node, None)
+                self.silent_until[node] = event.number
                 for constraint in node.debounced:
                     status = policy_status(node.attribute.when_stale)
                     self.debounced[constraint] = Debounced(status, event.time, is_silent=True)
@@ -257,36 +257,33 @@ class State:
             case "dwell", (ref,):
                 self._judge(network.referred(ref), event.time)
             case "component_failed", (name, reason):
-                self._set_flag("failed", network.components[name], True, reason)
+                self.set_flag("failed", network.components[name], True, reason)
             case "component_recovered", (name,):
-                node = network.components[name]
-                if self.asserted.get(node) is Status.FAILURE:
-                    self._assert(node, None)
-                self._set_flag("failed", node, False)
+                self.set_flag("failed", network.components[name], False)
             case "component_active", (name, active, reason):
-                self._set_flag("active", network.components[name], active, "" if active else reason)
+                self.set_flag("active", network.components[name], active, "" if active else reason)
             case "assert_status", (ref, status, reason, until):
-                self._assert(network.referred(ref), Status(status), reason, until)
+                self.assert_status(network.referred(ref), Status(status), reason, until)
             case "retract_status" | "lapse", (ref, *_):
-                self._assert(network.referred(ref), None)
+                self.assert_status(network.referred(ref), None)
             case "assert_required", (ref, required):
-                self._set_flag("asserted_required", network.referred(ref), bool(required))
+                self.set_flag("asserted_required", network.referred(ref), bool(required))
             case "assert_selected", (ref, selected, reason):
                 node = network.referred(ref)
-                self._set_flag("selected", node, bool(selected), reason if selected else "")
+                self.set_flag("selected", node, bool(selected), reason if selected else "")
                 owner = node.used_by[0]
                 is_without = self.selected.isdisjoint(owner.requires)
                 self.give_reason("unselected", owner, reason if is_without else "")
             case "request_action", (name, _):
-                self._set_flag("requested", network.actions[name], True)
+                self.set_flag("requested", network.actions[name], True)
             case "cancel_action", (name, *_):
-                self._set_flag("requested", network.actions[name], False)
+                self.set_flag("requested", network.actions[name], False)
             case "select", (designs, configurations, reason):
                 nodes = [network.designs[name] for name in designs.values()]
                 nodes += [network.configurations[name] for name in configurations.values()]
                 for kind, name, is_selected in event.effects:
                     node = network.kinds[kind][name]
-                    self._set_flag("selected", node, is_selected)
+                    self.set_flag("selected", node, is_selected)
                     nodes.append(node)
                 for node in nodes:
                     self.give_reason("selected", node, reason if node in self.selected else "")
@@ -307,11 +304,6 @@ class State:
         self.value[node] = value
         self.time[node] = time
         self.stale.discard(node)
-        if node.debounced:
-            votes = self.votes.get(node, ())
-            if not votes or votes[-1][0] < number:
-                votes = (*votes, (number, value))[-node.attribute.agreement[1] :]
-            self.votes[node] = votes
         self.remember(node, value, time, number)
         if node.debounced or node.element.max_age != math.inf:
             self._schedule_attribute(node, time)
@@ -324,9 +316,10 @@ class State:
         if not history or history[-1][2] < number:
             history.append((time, value, number))
 
-    def _assert(
+    def assert_status(
         self, node: Node, status: Status | None, reason: str = "", until: float | None = None
     ) -> None:
+        """Enter a status that stands in place of the inferred one; None takes it back."""
         self.touch([node])
         if status is None:
             self.asserted.pop(node, None)
@@ -335,8 +328,11 @@ class State:
         self.give_reason("asserted", node, reason, until)
         self._schedule("lapse", node, until)
 
-    def _set_flag(self, fact: str, node: Node, is_so: bool, reason: str = "") -> None:
+    def set_flag(self, fact: str, node: Node, is_so: bool, reason: str = "") -> None:
+        """Enter a fact that is a set of nodes, such as "failed" or "selected"."""
         _put(vars(self)[fact], node, is_so)
+        if fact == "failed" and not is_so and self.asserted.get(node) is Status.FAILURE:
+            self.assert_status(node, None)
         if fact == "selected" and node.kind == "configuration":  # its own status is the same
             self.touch(node.used_by)
             _put(self._obsolete, node, is_so and not self._is_of_use(node))
@@ -353,32 +349,22 @@ class State:
         else:
             self.reasons.pop((fact, node), None)
 
-    def suppose(self, fact: str, node: Node, is_so: bool) -> None:
-        """Enter a fact that is a set of nodes, in a copy."""
-        self.touch([node])
-        _put(vars(self)[fact], node, is_so)
-        if self.asserted.get(node) is Status.FAILURE and not is_so:
-            del self.asserted[node]
-
     def suppose_measurement(self, node: Node, value: float | None) -> None:
         """Enter a value without a time of measurement, in a copy; None is "not measured"."""
         self.touch([node])
         self.time.pop(node, None)
         self.stale.discard(node)
-        if self.reasons.pop(("forecast", node), None):
-            for constraint in node.constraints:
-                self.debounced.pop(constraint, None)
-        if value is None:
-            self.value.pop(node, None)
-        else:
+        self.reasons.pop(("forecast", node), None)
+        self.value.pop(node, None)
+        if value is not None:
             self.value[node] = value
-        for constraint in node.debounced:
-            status = self.verdict(constraint) or Status.NOT_EVALUATED
-            if value is None:
+        for constraint in node.constraints:
+            before = self.debounced.pop(constraint, Debounced()).status
+            if constraint in node.debounced:
                 status = Status.NOT_EVALUATED
-            else:  # as once it has been measured for long enough
-                status = voted_status(constraint.constraint, [value], 1, status) or status
-            self.debounced[constraint] = Debounced(status)
+                if value is not None:  # as once it has been measured for long enough
+                    status = voted_status(constraint.constraint, [value], 1, before) or before
+                self.debounced[constraint] = Debounced(status)
 
     def hold(self, constraint: Node, status: Status) -> None:
         """Give a constraint a status that its measurements do not say, as a forecast does."""
@@ -388,19 +374,17 @@ class State:
     # ---------------------------------------------------------------- time
 
     def due(self, now: float) -> tuple[float, str, Node] | None:
-        """Return what time has caused until now [s], the first of it: when, the verb, and of what."""
+        """Return what time has caused first until now [s]: when, the verb, and of what."""
         while now >= self.next_due:
-            (what, node), time = min(
-                self._due.items(),
-                key=lambda item: (item[1], item[0][1].index, item[0][0]),
-                default=(("", None), NEVER),
-            )
-            self.next_due = time
-            if node is None or now < time:
+            dues = [(time, node.index, what, node) for (what, node), time in self._due.items()]
+            self.next_due, _, what, node = min(dues, default=(NEVER, 0, "", None))
+            if node is None or now < self.next_due:
                 return None
-            if what != "dwell" or self.judged(node, time)[0].status is not self.verdict(node):
-                return time, what, node
-            self._judge(node, time)
+            if what != "dwell" or self.judged(node, self.next_due)[0].status is not self.verdict(
+                node
+            ):
+                return self.next_due, what, node
+            self._judge(node, self.next_due)
         return None
 
     def _schedule(self, what: str, node: Node, time: float | None) -> None:
@@ -422,16 +406,17 @@ class State:
 
     def judged(self, constraint: Node, now: float) -> tuple[Debounced, float]:
         """Return what a debounced constraint is by its votes, and when to judge it again [s]."""
-        votes = self.votes.get(constraint.requires[0], ())
-        before = self.debounced.get(constraint) or Debounced()
-        return debounce(constraint, before, [value for _, value in votes], now)
+        attribute = constraint.requires[0]
+        newest = islice(reversed(self.histories.get(attribute, ())), attribute.element.agreement[1])
+        first = self.silent_until.get(attribute, -math.inf)
+        votes = [value for _, value, number in newest if number > first]
+        return debounce(constraint, self.debounced.get(constraint) or Debounced(), votes, now)
 
     def _judge(self, constraint: Node, now: float) -> None:
         """Judge a debounced constraint by its votes, and note when to judge it again."""
         after, again = self.judged(constraint, now)
-        if constraint.requires[0] in self.votes:
-            self.touch([constraint])
-            self.debounced[constraint] = after
+        self.touch([constraint])
+        self.debounced[constraint] = after
         self._schedule("dwell", constraint, again)
 
     # ---------------------------------------------------------------- inference
@@ -458,13 +443,15 @@ class State:
 
     def infer(self) -> None:
         """Infer what is outdated. A node stays outdated until all that follows is stored."""
+        lowest = self._outdated[0]  # constraints
         for level in self._outdated:
             while level:
                 node = next(iter(level))
                 new = self._infer(node)
                 old = self.status.get(node)
                 if new is not old:
-                    self.before.setdefault(node, old or unset_status(node))
+                    unset = Status.NOT_EVALUATED if level is lowest else Status.FEASIBLE
+                    self.before.setdefault(node, old or unset)
                     for user in node.used_by:
                         self._outdated[user.level].add(user)
                     self.status[node] = new
@@ -533,6 +520,7 @@ class State:
         for node in changed:
             self._restart(node, now)
         self._revision = self.network.revision
+        self._outdated = [set() for _ in LEVELS]
         self.touch(self.network.present())
         self.infer()
 
@@ -546,9 +534,8 @@ class State:
         is_attribute = node.kind == "attribute"
         attribute = node if is_attribute else node.requires[0]
         self.stale.discard(attribute)
-        self.votes.pop(attribute, None)
-        if attribute.debounced and attribute in self.value:
-            self.votes[attribute] = ((0, self.value[attribute]),)
+        if attribute in self.histories:
+            self.silent_until[attribute] = self.histories[attribute][-1][2] - 1
         for constraint in attribute.constraints if is_attribute else [node]:
             self.debounced.pop(constraint, None)
             if constraint in attribute.debounced:
@@ -611,11 +598,6 @@ def _is_adaptable(node: Node, status: Status) -> bool:
     if status is Status.SOLVED:
         return bool(node.element.always_improve)
     return status in (Status.UNSOLVED, Status.CONFIGURATION_ERROR)
-
-
-def unset_status(node: Node) -> Status:
-    """Return the status of an element while nothing is known about it."""
-    return Status.NOT_EVALUATED if node.kind == "constraint" else Status.FEASIBLE
 
 
 def in_order(nodes: Iterable[Node]) -> list[Node]:

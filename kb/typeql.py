@@ -149,8 +149,8 @@ TYPES: Final = {
 
 def _type_of(label: Token, place: Place) -> Type:
     if _plain(label) not in TYPES:
-        known = [each.label for each in TYPES.values()]
-        raise place.error(str(UnknownName("type", str(label), known)))
+        labels = [each.label for each in TYPES.values()]
+        raise place.error(str(UnknownName("type", str(label), labels)))
     return TYPES[_plain(label)]
 
 
@@ -298,10 +298,10 @@ class Things:
             value = value.timestamp()
         before = thing.owns.get(name)
         if before and name not in _REPEATABLE and before.value != value:
-            said = f"{before.label} is {before.value!r} at {before.place}"
+            earlier = f"{before.label} is {before.value!r} at {before.place}"
             if before.label == label:
-                raise place.error(f"{label} is {value!r} here, and {said}")
-            self.note(place, f"{label} is ignored: {said}")
+                raise place.error(f"{label} is {value!r} here, and {earlier}")
+            self.note(place, f"{label} is ignored: {earlier}")
             return
         thing.owns[name] = Own(label, value, place)
         if name == "name":
@@ -485,11 +485,13 @@ class _Builder:
             yield elements.SelectedFact(element)
         elif name == "status":
             word = " ".join(re.split(r"[\s_-]+", own.value.strip().lower()))
-            known = STATUSES[elements.KINDS[type(element)]]
-            if word in known:
+            statuses = STATUSES[elements.KINDS[type(element)]]
+            if word in statuses:
                 yield elements.StatusFact(element, Status(word))
             else:
-                unknown = UnknownName(f"status of a {thing.type.label}", own.value, map(str, known))
+                unknown = UnknownName(
+                    f"status of a {thing.type.label}", own.value, map(str, statuses)
+                )
                 self._things.note(own.place, f"{unknown}; not asserted")
 
     def _measurements(self) -> Iterator[tuple[Fact, Place]]:
@@ -531,9 +533,9 @@ class _Builder:
         result = WORDS["results"].get(word)
         if word and not result:
             result = "abandoned"
-            known = "there are completed, failed, abandoned"
+            options = "there are completed, failed, abandoned"
             self._things.note(
-                thing.place, f"{word!r} is not a result, and is read as {result}; {known}"
+                thing.place, f"{word!r} is not a result, and is read as {result}; {options}"
             )
         return {"start": thing.value("start"), "end": thing.value("end"), "result": result}
 
@@ -557,8 +559,8 @@ def _parameter(thing: Thing) -> elements.Parameter:
     word = _plain(label).removeprefix("parameter")
     fitting = [read for sort, read in _READERS.items() if word.startswith(sort)]
     if not fitting:
-        known = elements.PARAMETER_TYPES.values()
-        raise thing.place.error(str(UnknownName("parameter type", label, known)))
+        sorts = elements.PARAMETER_TYPES.values()
+        raise thing.place.error(str(UnknownName("parameter type", label, sorts)))
     (read,) = fitting
     try:
         if word.endswith(("array", "[]")):
@@ -584,5 +586,5 @@ def _items(value: object) -> list[str]:
     inner = re.fullmatch(r"\s*\[([\s\S]*)\]\s*", str(value))
     if inner is None:
         raise ValueError
-    found = re.findall(r"""'([^']*)'|"([^"]*)"|([^\s,][^,]*)""", inner[1])
-    return [single or double or bare.strip() for single, double, bare in found]
+    items = re.findall(r"""'([^']*)'|"([^"]*)"|([^\s,][^,]*)""", inner[1])
+    return [single or double or bare.strip() for single, double, bare in items]

@@ -63,10 +63,7 @@ def in_words(error: Exception) -> str:
 
 
 def line_in_words(error: Exception, *ours: str) -> str:
-    """Return the last line of the user's code in a traceback, as `.
-
-    Tree.py, line 3`, or nothing.
-    """
+    """Return the last line of the user's code in a traceback, e.g. `; tree.py, line 3`."""
     own = (*_OURS, *ours, *stdlib_module_names)
     place = ""
     for frame, line in walk_tb(error.__traceback__):

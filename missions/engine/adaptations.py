@@ -80,19 +80,17 @@ class Adaptation:
         """When it was in force [s]; infinity if it never was."""
         return inf if self.reaction_s is None else self.news_s + self.reaction_s
 
+    def is_over(self, kb: KnowledgeBase, last_tick: float) -> bool:
+        """Whether the robot is configured for it, or a tick has passed since it was."""
+        acted_s = max([self.at_s, *(plan.end or inf for _, plan in self.plans)])
+        is_solved = bool(self.action) and kb.actions[self.action].status is Status.SOLVED
+        return is_solved or not self.action or last_tick >= acted_s
+
     @property
     def why(self) -> str:
         """The reason, with the news in front if the reason does not mention it."""
         subject = self.trigger.split(" ")[0]
         return self.reason if subject in self.reason else f"{self.trigger}: {self.reason}"
-
-    def is_over(self, kb: KnowledgeBase, last_tick: float) -> bool:
-        """Whether the robot is configured for it, or nothing more will be done about it."""
-        if kb.pending_plan is not None or any(plan.end is None for _, plan in self.plans):
-            return False
-        acted_s = max([self.at_s, *(plan.end or 0.0 for _, plan in self.plans)])
-        is_solved = bool(self.action) and kb.actions[self.action].status is Status.SOLVED
-        return is_solved or not self.action or last_tick >= acted_s
 
     def close(self) -> None:
         """Update `change` and `reaction_s` by how the plans have ended so far."""
@@ -176,8 +174,9 @@ class AdaptationLog:
             self._settle_task_plans(is_reported=self._settle_actions())
             self._settle_plans()
             self._settled = self._kb.log.last
-            over = [entry for entry in self._open if entry.is_over(self._kb, self._last_tick)]
-            self._close(sorted(over, key=lambda entry: not entry.action))
+            if self._kb.pending_plan is None:
+                over = [entry for entry in self._open if entry.is_over(self._kb, self._last_tick)]
+                self._close(sorted(over, key=lambda entry: not entry.action))
 
     def finish(self) -> None:
         """Report an action that was given up and that no other followed; call it at the end."""
@@ -220,13 +219,11 @@ class AdaptationLog:
     def _on_end(self, event: Event) -> None:
         """Note which action has ended and why; a tree may begin the next before it ends this."""
         action, result, reason = event.arguments
-        records = self._kb.history.actions
-        record = next(record for record in reversed(records) if record.action == action)
-        if record.number <= self._settled:  # else it began in this tick
-            cause = None if result == "completed" else self._cause_of_end(event, result, reason)
-            self._ended = event, cause
+        cause = None
         if result != "completed":
+            cause = self._cause_of_end(event, result, reason)
             self._regained.pop(action, None)
+        self._ended = event, cause
 
     def _cause_of_end(self, event: Event, result: str, reason: str) -> News | None:
         action = event.subject

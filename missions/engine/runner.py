@@ -24,7 +24,6 @@ from kb import (
 )
 from kb import Planner as ConfigurationPlanner
 from missions.engine.adaptations import Adaptation, AdaptationLog, plans_after
-from missions.engine.components import VERBS
 from missions.engine.faults import FaultInjector
 from missions.engine.mission import (
     NO_SUCCESS,
@@ -109,10 +108,6 @@ class MissionRun(ABC):
     def __init__(
         self, mission: Mission, world: World, settings: RunSettings, manager: str, task: str
     ) -> None:
-        if any(not callable(getattr(world.managed, verb, None)) for verb in VERBS):
-            expected = f"a kb.ManagedSystem, which has the methods {', '.join(VERBS)}"
-            title = f"managed of {type(world).__name__}"
-            raise MissionError(f"{title} is {world.managed!r:.100}; expected is {expected}")
         self.mission = mission
         self.world = world
         self.settings = settings

@@ -93,6 +93,7 @@ class Environment:
 
     Attributes:
         values: by attribute that changes, one value for each difference.
+        read: the attributes that the tree compares by itself.
         alike: the components that can fail, in groups that the model does not tell apart.
         worst: by attribute, the value that violates most.
     """
@@ -100,11 +101,11 @@ class Environment:
     def __init__(self, kb: KnowledgeBase, leaves: Iterable[Behaviour], setup: Setup) -> None:
         self._setup = setup
         self._compared = _comparisons(kb)
-        self._read: set[str] = set()
+        self.read: set[str] = set()
         for leaf in leaves:
             if isinstance(leaf, Measurement):
                 self._compared[leaf.attribute.name].append((leaf, leaf.operator, leaf.value))
-                self._read.add(leaf.attribute.name)
+                self.read.add(leaf.attribute.name)
         attributes = kb.model.attributes
         ageing = {name for name in kb.attributes if attributes[name].max_age != inf}
         self.values: dict[str, tuple[float, ...]] = {}
@@ -114,7 +115,7 @@ class Environment:
                 values = self._distinct(attributes[name])
                 signatures = frozenset(self.signature(name, value) for value in values)
                 is_one_bit = len(signatures) == 2 and frozenset() in signatures
-                if not setup.symmetric or not is_one_bit or name in self._read | ageing:
+                if not setup.symmetric or not is_one_bit or name in self.read | ageing:
                     self.values[name] = values
                 elif signatures not in seen:
                     seen.add(signatures)
@@ -130,27 +131,13 @@ class Environment:
     def signature(self, name: str, value: Value) -> Signature:
         """Return what a value of an attribute violates; what is not measured violates nothing."""
         if not isinstance(value, float):
-            return frozenset({value} if value == STALE or name in self._read else ())
+            return frozenset({value} if value == STALE or name in self.read else ())
         compared = self._compared[name]
         return frozenset(who for who, how, limit in compared if not OPERATORS[how](value, limit))
 
     def violated(self, name: str) -> Callable[[float], int]:
         """Return a function that counts what a value of an attribute violates."""
         return lambda value: len(self.signature(name, value))
-
-    def representative(self, name: str, value: Value) -> Value:
-        """Return the value that stands for all with the same signature.
-
-        For a new one, the value itself.
-        """
-        signature = self.signature(name, value)
-        alike = (each for each in self.values[name] if self.signature(name, each) == signature)
-        return next(alike, value)
-
-    def best(self, name: str) -> float | None:
-        """Return a value that violates nothing, if nobody but the model looks at the attribute."""
-        fitting = (value for value in self.values[name] if not self.signature(name, value))
-        return None if name in self._read else next(fitting, None)
 
     def changes(self, facts: Facts) -> Iterator[tuple[tuple[Change, ...], Facts]]:
         """Yield the sets of changes that can happen next, and the facts after each."""

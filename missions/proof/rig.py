@@ -7,6 +7,7 @@ is the manager.
 """
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any, Final, NamedTuple
@@ -101,7 +102,7 @@ class Rig(VisitorBase):
         self.requesting: list[Behaviour] = []
         self.deeds: frozenset[str] = frozenset()
         self.is_caused = True
-        self._needed: dict[Behaviour, frozenset[str]] = {}
+        self._asked: frozenset[str] = frozenset()
         names = dict.fromkeys(leaf.name for leaf in leaves)
         for name in setup.leaves:
             if name not in names:
@@ -115,7 +116,6 @@ class Rig(VisitorBase):
                 continue
             self.letters[node.name] = "RS"
             vars(node)["is_over"] = partial(self._is_over, node)
-        self._asked = frozenset().union(*self._needed.values())
         self._facts: tuple[int, Facts] | None = None
 
     def run(self, behaviour: Behaviour) -> None:
@@ -128,9 +128,9 @@ class Rig(VisitorBase):
         if not says.answers:
             return
         self.letters[leaf.name] = says.answers
-        self._needed[leaf] = frozenset(says.after)
         if isinstance(leaf, Condition) and not says.after:
-            self._needed[leaf] = self.setup.causes.needed(leaf, self.kb, senses)
+            says = replace(says, after=self.setup.causes.needed(leaf, self.kb, senses))
+        self._asked |= {*says.after}
         if _requests(leaf):
             self.requesting.append(leaf)
             vars(leaf)["update"] = partial(self._answer, leaf, says, leaf.update)
@@ -174,8 +174,8 @@ class Rig(VisitorBase):
         letter = self._choose(leaf, says.answers)
         action = getattr(leaf, "action", "")
         is_able = not isinstance(leaf, RosaAction) or self.kb.is_feasible(action)
-        needed = self._needed[leaf]
-        if letter == "S" and (not is_able or (needed and not needed & self.deeds)):
+        is_early = says.after and self.deeds.isdisjoint(says.after)
+        if letter == "S" and (is_early or not is_able):
             self.is_caused = False
         if letter != "F" and is_able and not isinstance(leaf, Condition):
             effects = self.setup.causes.effects.get(action, set[str]())
@@ -230,9 +230,15 @@ class Rig(VisitorBase):
         """
         for name, value in self.setup.start.items():
             self.kb.measure(name, value)
-        for name in self.environment.values:
-            best = self.environment.best(name)
-            if self.kb.attributes[name].value is None and best is not None:
+        environment = self.environment
+        for name, values in environment.values.items():
+            best = min(values, key=environment.violated(name))
+            is_read = name in environment.read
+            if (
+                self.measured(name) is None
+                and not is_read
+                and not environment.signature(name, best)
+            ):
                 self.kb.measure(name, best)  # as good as no measurement
         return self.settle()
 
@@ -280,7 +286,7 @@ class Rig(VisitorBase):
         for name in self.environment.values:
             view = kb.attributes[name]
             value = STALE if view.is_stale else view.value
-            values.append((name, self.environment.representative(name, value)))
+            values.append((name, value))
         components = kb.components.items()
         selectable = [*kb.designs.values(), *kb.configurations.values()]
         requested = [(each.action, str(each.preference or "")) for each in kb.required_actions]
@@ -357,6 +363,13 @@ class Rig(VisitorBase):
     def is_quality(self, attribute: str) -> bool:
         """Return whether an attribute is of the robot, not of its surroundings."""
         return self.kb.model.attributes[attribute].kind is AttributeKind.QUALITY
+
+    def is_kept(self, name: str) -> bool:
+        """Return whether only the robot changes it: it is a component, or a quality without a rate."""
+        if name in self.kb.components:
+            return True
+        rates = self.kb.model.attributes[name].rates
+        return self.is_quality(name) and all(rate.while_ for rate in rates)
 
     def _instead(self, node: Behaviour) -> str:
         """Return the action whose success a node passes on in place of what it is for.

@@ -132,7 +132,7 @@ class Leaf:
 
     answers: str = "RSF"
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    after: tuple[str, ...] = ()
+    after: Collection[str] = ()
 
     def __post_init__(self) -> None:
         for letter in (*self.answers, *self.effects):

@@ -134,16 +134,13 @@ class Proof:
 
     def as_data(self) -> dict[str, Any]:
         """Return all of it as plain data for JSON."""
-        explored = self.explored
         findings = []
         for finding in self.findings:
             lines = [line.strip() for line in self.story(finding.trail or ())]
             findings.append({**vars(finding), "trail": lines})
         return {
-            "finished": explored.is_finished,
-            "situations": len(explored.situations),
-            "transitions": explored.transitions,
-            "seconds": round(explored.seconds, 3),
+            "finished": self.explored.is_finished,
+            "count": self.count,
             "findings": findings,
             "consequences": [vars(consequence) for consequence in self.consequences],
             "notes": self.notes,
@@ -221,7 +218,7 @@ def _consequence(explored: Exploration, bad: Sequence[Change], caused: set[int])
     values = {number: dict(explored.situations[number].facts.values) for number in caused}
     alone = {number for number in caused if explored.situations[number].facts.failed == failed}
     within = {number for number in alone if worst.items() <= values[number].items()}
-    rounds = [each for each in explored.following(0) if each.is_caused]
+    rounds = [each for each in explored.rounds[0] if each.is_caused]
     first = {each.after for each in rounds if {*each.step.changes} == {*bad}}
     reached = explored.reaching(explored.goals & within, within=within)
     reaches = "nothing"

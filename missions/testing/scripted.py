@@ -1,7 +1,7 @@
 """Managed systems and leaves of trees that follow scripts, and a clock that the test moves."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MethodType
 from typing import Final
 
@@ -47,7 +47,7 @@ class LeafMock:
         self._is_running = False
 
 
-def mock_leaf(root: Behaviour, name: str, outcomes: str | Iterable[Status]) -> LeafMock:
+def mock_leaf(root: Behaviour, name: str, outcomes: str | Sequence[Status]) -> LeafMock:
     """Let a leaf of a tree return the outcomes of a script instead of working.
 
     Only its own work is replaced: a `RosaAction` still requests its action and releases it, so that
@@ -65,12 +65,13 @@ def mock_leaf(root: Behaviour, name: str, outcomes: str | Iterable[Status]) -> L
         ValueError: there are no outcomes, or one is not RUNNING, SUCCESS or FAILURE.
     """
     mock = LeafMock(_read(outcomes))
-    leaves = [one for one in root.iterate() if not one.children]
-    found = [leaf for leaf in leaves if leaf.name == name]
-    if not found:
-        raise UnknownName("leaf", name, dict.fromkeys(leaf.name for leaf in leaves))
-    for leaf in found:
-        replace_work(leaf, mock.update, mock.initialise, mock.terminate)
+    leaves = [leaf for leaf in root.iterate() if not leaf.children]
+    names = dict.fromkeys(leaf.name for leaf in leaves)
+    if name not in names:
+        raise UnknownName("leaf", name, names)
+    for leaf in leaves:
+        if leaf.name == name:
+            replace_work(leaf, mock.update, mock.initialise, mock.terminate)
     return mock
 
 
@@ -95,18 +96,15 @@ def replace_work(
     vars(leaf).update(own)
 
 
-def _read(outcomes: str | Iterable[Status]) -> tuple[Status, ...]:
-    script = tuple(
-        LETTERS.get(outcome, outcome) if isinstance(outcome, str) else outcome
-        for outcome in outcomes
+def _read(outcomes: str | Sequence[Status]) -> tuple[Status, ...]:
+    script = [LETTERS.get(item) if isinstance(item, str) else item for item in outcomes]
+    statuses = tuple(
+        status for status in script if status is not None and status in LETTERS.values()
     )
-    wrong = [one for one in script if one not in LETTERS.values()]
-    if wrong or not script:
-        given = f"{wrong[0]!r} is none" if wrong else "none is given"
-        raise ValueError(
-            f"outcomes are R, S and F, or RUNNING, SUCCESS and FAILURE, at least one; {given}"
-        )
-    return tuple(one for one in script if isinstance(one, Status))
+    if not script or len(statuses) < len(script):
+        allowed = "R, S and F, or RUNNING, SUCCESS and FAILURE, at least one"
+        raise ValueError(f"outcomes are {allowed}; not {outcomes!r}")
+    return statuses
 
 
 class FakeClock:

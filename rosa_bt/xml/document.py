@@ -10,7 +10,6 @@ from xml.etree import ElementTree
 from xml.parsers.expat import ExpatError, ParserCreate
 
 from rosa_bt.exceptions import XmlError, hint
-from rosa_bt.xml.blackboard import key_of
 from rosa_bt.xml.nodes import RULES
 
 MAX_SIZE: Final = 1_000_000
@@ -332,13 +331,8 @@ class Document:
                 self.note(root.where, text)
             convert(root, self.note)
         elif version is None:
-            text = 'it has no BTCPP_format; read as version 4: write BTCPP_format="4"'
-            self.note(root.where, text)
-            for element in root.descendants("SubTree"):
-                for name, text in element.ports.items():
-                    if key_of(text, name) is None:
-                        meaning = f"if the file is of version 3, it means {{{text}}}"
-                        self.note(element.where, f"{name}={text!r} is a text; {meaning}")
+            text = "it has no BTCPP_format; read as version 4, in which ports of SubTree are texts"
+            self.note(root.where, f'{text}: write BTCPP_format="4"')
         elif version != "4":
             self.note(root.where, f"it has BTCPP_format {version!r}; read as version 4")
 

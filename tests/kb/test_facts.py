@@ -10,9 +10,7 @@ from kb import (
     KnowledgeBase,
     KnowledgeBaseError,
     Model,
-    ModelError,
     Status,
-    UnknownName,
 )
 from kb.elements import (
     ActiveFact,
@@ -121,43 +119,16 @@ def test_stated_records_that_ended_are_not_open(model):
 
 
 @pytest.mark.parametrize(
-    ("fact", "error", "words"),
-    [
-        (MeasurementFact("lihgt", 1.0), UnknownName, "did you mean 'light'"),
-        (MeasurementFact("light", float("inf")), InvalidValue, "finite"),
-        (ActiveFact("lidar"), UnknownName, "unknown component 'lidar'"),
-        (RequiredActionFact("sleep"), UnknownName, "unknown action 'sleep'"),
-        (RequiredActionFact("explore", {"power": 1.0}), UnknownName, "unknown attribute 'power'"),
-        (PlanFact(parameters=("night",)), UnknownName, "unknown configuration 'night'"),
-        ("light is on", ModelError, "a fact is one of those in kb.elements"),
-    ],
-)
-def test_facts_about_what_is_not_there_are_refused(model, fact, error, words):
-    with pytest.raises(error, match=words):
-        model.add_fact(fact)
-    assert model.facts == ()
-
-
-@pytest.mark.parametrize(
     "state",
     [
         lambda model: SelectedFact(model.actions["explore"]),
-        lambda model: SelectedFact(model.components["camera"]),
         lambda model: RequiredFact(model.designs["by camera"]),
-        lambda model: RequiredFact(model.configurations["day"]),
         lambda model: StatusFact(model.actions["explore"], "odd"),
-        lambda model: ProcessFact("camera", None),
         lambda model: ProcessFact("camera", -4),
-        lambda model: ProcessFact("camera", 4, start=float("inf")),
         lambda model: RequiredActionFact("explore", {"light": float("nan")}),
-        lambda model: RequiredActionFact("explore", {"light": None}),
         lambda model: RequiredActionFact("explore", ["light"]),
         lambda model: RequiredActionFact("explore", result="done"),
-        lambda model: MeasurementFact([], 1.0),
-        lambda model: MeasurementFact("light", None),
         lambda model: MeasurementFact("light", 1.0, latest="yes"),
-        lambda model: ActiveFact([]),
-        lambda model: PlanFact(None),
         lambda model: PlanFact(activate="camera"),
     ],
 )

@@ -199,7 +199,7 @@ def succeeds(mission, name, value):
                 }
         return [*messages, {"time": now, "status": [bad]}]
 
-    run.alter = alter
+    run.faults.alter = alter
     return run.run().success
 
 

@@ -54,14 +54,13 @@ def drawn(run):
             'an object "values"',
         ),
         ("now", "soon", "now of Odd is 'soon'; expected is the time"),
-        ("managed", None, "managed of Odd is None; expected is a kb.ManagedSystem, which has"),
         ("advance", raising, rf"the world of mission rover failed .*KeyError: 'lens'; {HERE}"),
         ("results", raising, rf"results\(\) of Odd failed .*KeyError: 'lens'; {HERE}"),
     ],
 )
 def test_world_method_that_is_wrong_is_named(method, value, words):
     function = value if callable(value) else lambda world, *until: value
-    if method in ("now", "managed"):
+    if method == "now":
         function = property(function)
     odd = type("Odd", (Field,), {method: function})
     with pytest.raises(MissionError, match=words):
@@ -96,7 +95,6 @@ def own(**methods):
     ("mission", "options", "words"),
     [
         (replace(LIT, model=lambda: raising()), {}, f"the model of mission rover.*lens.*{HERE}"),
-        (replace(SEA, facts=lambda kb, percepts: raising()), {"task": "pddl"}, f"lens.*{HERE}"),
         (replace(ROVER, world=FieldKind(opens=None)), {}, r"what open\(\) of .* is None, not a W"),
         (
             replace(ROVER, world=FieldKind(verdict="fine")),
@@ -176,12 +174,6 @@ def _written(path, content):
             None,
             "--task pddl",
             "domain.pddl",
-        ),
-        (
-            {"problem": edited(PROBLEM, "(:domain suave_extended)", "(:domain sea)")},
-            None,
-            "--task pddl",
-            "problem.pddl:3:3: found '(:domain sea)', expected '(:domain suave_extended)'",
         ),
         (
             {"problem": edited(PROBLEM, "(inspect_pipeline_action inspect_pipeline)")},
