@@ -164,21 +164,21 @@ class Model:
         """The facts that hold from the start, in the order in which they were added."""
         return tuple(self._facts)
 
-    def quality_attribute(self, name: str, **given: Unpack[Measured]) -> Attribute:
+    def quality_attribute(self, name: str, **options: Unpack[Measured]) -> Attribute:
         """Declare a measured property of the robot itself, e.g. its energy.
 
         Args:
             name: unique among attributes.
-            given: the options of `Measured`, which `kb.elements.Attribute` explains.
+            options: the options of `Measured`, which `kb.elements.Attribute` explains.
         """
-        return self.declare(Attribute, name, kind=AttributeKind.QUALITY, **given)
+        return self.declare(Attribute, name, kind=AttributeKind.QUALITY, **options)
 
-    def environmental_attribute(self, name: str, **given: Unpack[Measured]) -> Attribute:
+    def environmental_attribute(self, name: str, **options: Unpack[Measured]) -> Attribute:
         """Declare a measured property of the surroundings, e.g. the light.
 
         See `quality_attribute`.
         """
-        return self.declare(Attribute, name, kind=AttributeKind.ENVIRONMENTAL, **given)
+        return self.declare(Attribute, name, kind=AttributeKind.ENVIRONMENTAL, **options)
 
     def component(
         self,
@@ -195,13 +195,13 @@ class Model:
 
         One that the manager shall switch is of kind "process" or "lifecycle".
         """
-        given = {
+        options = {
             "kind": kind,
             "always_improve": always_improve,
             "stops_to_configure": stops_to_configure,
         }
         return self.declare(
-            Component, name, constraints, **given, package=package, executable=executable
+            Component, name, constraints, **options, package=package, executable=executable
         )
 
     def function(self, name: str, *, always_improve: bool = False) -> Function:
@@ -235,24 +235,24 @@ class Model:
         name: str,
         constraints: Iterable[Expression] = (),
         /,
-        **given: object,
+        **stated: object,
     ) -> ElementT:
         """Declare an element with its constraints, or nothing if anything is refused.
 
-        `given` holds the fields of the class; other elements in it are given by themselves or by
+        `stated` holds the fields of the class; other elements in it are given by themselves or by
         their names.
         """
         kind = KINDS[cls]
         table = self._tables[cls]
         name = identifier(kind, name)
         checks = CHECKS[cls]
-        for field, value in given.items():
+        for field, value in stated.items():
             if field in checks:
-                given[field] = checks[field].check(field, name, value)
+                stated[field] = checks[field].check(field, name, value)
             else:
-                given[field] = self._referred(cls, name, field, value)
+                stated[field] = self._referred(cls, name, field, value)
         try:
-            element = cls(name, self, **given)
+            element = cls(name, self, **stated)
         except TypeError as error:
             raise ModelError(f"{kind} {name!r} is not complete: {error}") from None
         expressions = self._expressions(constraints)
@@ -459,7 +459,10 @@ class Model:
             for constraint in self.constraints
             if unwanted in constraint.constrained
         }
-        removed: list[Changeable] = [unwanted, *(one for one, rest in rests.items() if not rest)]
+        removed: list[Changeable] = [
+            unwanted,
+            *(element for element, rest in rests.items() if not rest),
+        ]
         removed += [estimation for estimation in self.estimations if estimation.causer is unwanted]
         facts = [fact for fact in self._facts if not _concerns(fact, removed)]
 
@@ -467,8 +470,8 @@ class Model:
             for constraint, rest in rests.items():
                 if rest:
                     _set(constraint, {"constrained": rest})
-            for one in removed:
-                self._tables[type(one)].pop(_key(one), None)
+            for element in removed:
+                self._tables[type(element)].pop(_key(element), None)
             self._facts = facts
 
         self._amend("removed", removed, put, lambda: _reference(self, unwanted))
@@ -573,20 +576,20 @@ class Model:
             values[name] = value
         return replace(fact, **values)
 
-    def _own(self, what: str, given: object, *classes: type) -> Any:  # noqa: ANN401  # of the classes
+    def _own(self, what: str, element: object, *classes: type) -> Any:  # noqa: ANN401  # of the classes
         """Return an element of this model, given by itself or by a name that only one has."""
-        if not isinstance(given, (Element, Constraint, Estimation)):
+        if not isinstance(element, (Element, Constraint, Estimation)):
             tables = {KINDS[cls]: self._tables[cls] for cls in classes if issubclass(cls, Element)}
-            return meant_by(given, tables, what, "give the one meant, e.g. model.")
-        self._of_kind(what, given, classes)
-        if isinstance(given, Element) and given.model is not self:
-            other = given.model.name
-            raise ModelError(f"{given.name!r} belongs to model {other!r}, not to {self.name!r}")
-        if self._tables[type(given)].get(_key(given)) is not given:
-            name = str(given) if isinstance(given, Constraint) else repr(called(given))
-            of = "the estimation of " if isinstance(given, Estimation) else ""
+            return meant_by(element, tables, what, "give the one meant, e.g. model.")
+        self._of_kind(what, element, classes)
+        if isinstance(element, Element) and element.model is not self:
+            other = element.model.name
+            raise ModelError(f"{element.name!r} belongs to model {other!r}, not to {self.name!r}")
+        if self._tables[type(element)].get(_key(element)) is not element:
+            name = str(element) if isinstance(element, Constraint) else repr(called(element))
+            of = "the estimation of " if isinstance(element, Estimation) else ""
             raise ModelError(f"{of}{name} is not in model {self.name!r}, or no longer")
-        return given
+        return element
 
     def _of_kind(self, what: str, element: object, classes: Sequence[type]) -> None:
         if not isinstance(element, tuple(classes)):
@@ -619,8 +622,8 @@ class Model:
         )
 
     def _enter(self, added: Iterable[Changeable]) -> None:
-        for one in added:
-            self._tables[type(one)][_key(one)] = one
+        for element in added:
+            self._tables[type(element)][_key(element)] = element
 
     def _amend(
         self,
@@ -642,28 +645,35 @@ class Model:
             observer.heard()
 
     def _watching(self) -> list[Observer]:
-        return [observer for one in tuple(self._observers) if (observer := one()) is not None]
+        return [observer for each in tuple(self._observers) if (observer := each()) is not None]
 
 
-def _key(one: Changeable) -> object:
-    return one.name if isinstance(one, Element) else one
+def _key(element: Changeable) -> object:
+    return element.name if isinstance(element, Element) else element
 
 
-def _set(one: Changeable, values: Mapping[str, object]) -> None:
+def _set(element: Changeable, values: Mapping[str, object]) -> None:
     for field, value in values.items():
-        object.__setattr__(one, field, value)
+        object.__setattr__(element, field, value)
 
 
-def _constraint(targets: tuple[Constrainable, ...], one: Expression) -> Constraint:
-    return Constraint(one.attribute, one.operator, one.value, targets, one.hysteresis, one.dwell)
+def _constraint(targets: tuple[Constrainable, ...], comparison: Expression) -> Constraint:
+    return Constraint(
+        comparison.attribute,
+        comparison.operator,
+        comparison.value,
+        targets,
+        comparison.hysteresis,
+        comparison.dwell,
+    )
 
 
 def _suffix(file: Path) -> str:
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
-        given = f"in {file.suffix!r}" if file.suffix else "without a suffix"
+        its_own = f"in {file.suffix!r}" if file.suffix else "without a suffix"
         raise ModelFileError(
-            f"the name of a model's file ends in {' or '.join(SUFFIXES)}, this one {given}",
+            f"the name of a model's file ends in {' or '.join(SUFFIXES)}, this one {its_own}",
             str(file),
         )
     return suffix
