@@ -144,8 +144,6 @@ class TraceVisitor(VisitorBase):
         self, kb: KnowledgeBase, path: str | Path | None = None, *, keep: int = 10_000
     ) -> None:
         super().__init__(full=False)
-        if keep < 1:
-            raise ValueError(f"keep is a number of ticks from 1, not {keep!r}")
         self._kb = kb
         self._file: TextIO | None = None
         if path is not None:

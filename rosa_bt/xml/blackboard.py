@@ -16,7 +16,6 @@ from rosa_bt.exceptions import RosaBtError, hint
 from rosa_bt.xml.values import (
     CASTS,
     EMPTY,
-    ScriptError,
     Value,
     converted,
     is_number,
@@ -51,12 +50,6 @@ class Entry:
     def put(self, value: Value) -> None:
         self.value = value
         self.version += 1
-
-    def read(self, text: str) -> Value:
-        """Return a text of a script as the declared type."""
-        if self.declared is Status:
-            raise ScriptError(f"a script cannot write {text!r} to an entry for an outcome")
-        return converted(text, self.declared)
 
     def take(self, value: Value) -> None:
         """Write a value from the program or a port, as the declared type.
