@@ -76,8 +76,7 @@ class Blackboard(MutableMapping[str, Any]):
     """The blackboard of one SubTree; other trees share entries with it through remapped keys only.
 
     A key is looked up in this order: `@key` in the blackboard of the main tree; among the constants
-        of
-    the SubTree element; under its remapped name in the blackboard of the parent tree; with
+    of the SubTree element; under its remapped name in the blackboard of the parent tree; with
     autoremapping under its own name there, unless it begins with an underscore; in this blackboard.
     As a mapping, it does not contain empty entries.
 

@@ -243,10 +243,8 @@ class BehaviourRegistry:
             factory: the class or function, which is returned as it is; without it, a decorator is
                 returned.
             kind: "condition" for a leaf that is ticked again after it has finished, even if it was
-                not reset; "action" for a leaf that is not. Without it, the file decides
-                (`<Condition ID=...>` or its TreeNodesModel), or
-                else the class: without `initialise` and `terminate` of its own, it makes
-                    conditions.
+                not reset; "action" for a leaf that is not. Without it, the file decides, or else
+                the class: without `initialise` and `terminate` of its own, it makes conditions.
 
         Raises:
             RegistryError: the name is taken, or an argument is of a wrong kind.
