@@ -343,6 +343,15 @@ MISSIONS: Final = {name: f"missions.{name}:MISSION" for name in SUMMARIES}
 _OWN: Final = f"{', '.join(MISSIONS)}; one of your own is "
 
 
+def _advice(kind: str, name: str) -> str:
+    """Return what to write instead of an unknown name, if it looks like something else."""
+    if name.endswith(".toml"):
+        return f"a file of settings is given as --config {name}; "
+    if name.isidentifier() and (Path(name, "__init__.py").exists() or Path(f"{name}.py").exists()):
+        return f"did you mean {name}:{kind.upper()}? "
+    return ""
+
+
 def load(kind: str, name: str, homes: Mapping[str, str], existing: str) -> Any:  # noqa: ANN401  # the caller checks it
     """Import a thing of some kind, such as "mission", by a registered name or as "module:NAME".
 
@@ -353,7 +362,7 @@ def load(kind: str, name: str, homes: Mapping[str, str], existing: str) -> Any: 
         MissionError: the name is unknown, or the import fails.
     """
     if name not in homes and ":" not in name[1:]:
-        raise MissionError(f"unknown {kind} {name!r}; there are {existing}")
+        raise MissionError(f"unknown {kind} {name!r}; {_advice(kind, name)}there are {existing}")
     home, _, attribute = homes.get(name, name).partition(":")
     title = f"cannot import {kind} {name!r}"
     try:
