@@ -1,7 +1,5 @@
 """The adaptation loop against managed systems that obey at once, slowly, wrongly or never."""
 
-from concurrent.futures import Future
-
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
@@ -258,64 +256,6 @@ def test_obedient_system_ends_as_the_kb_says(model, data, lasts):
         )
     for name in managed.started_with:
         assert model.components[name].kind != "plain"
-
-
-class Returning:
-    """A managed system whose every command returns what it was given."""
-
-    def __init__(self, operation):
-        self.operation = operation
-
-    def activate(self, component):
-        return self.operation()
-
-    deactivate = activate
-
-    def set_parameters(self, component, parameters):
-        return self.operation()
-
-
-def future(outcome):
-    made = Future()
-    if outcome == "cancelled":
-        made.cancel()
-    elif outcome is None:
-        made.set_result("anything")
-    else:
-        made.set_exception(outcome)
-    return made
-
-
-class Breaking:
-    """An operation that cannot even be asked."""
-
-    def __init__(self, asked):
-        self.asked = asked
-
-    def done(self):
-        if self.asked == "done":
-            raise Broken("lost")
-        return True
-
-    def exception(self):
-        raise Broken("lost")
-
-
-@pytest.mark.parametrize(
-    "operation",
-    [
-        lambda: future(Broken("no")),
-        lambda: future("cancelled"),
-        lambda: Breaking("done"),
-        lambda: Breaking("exception"),
-    ],
-)
-def test_update_never_raises_whatever_an_operation_does(operation):
-    kb, clock = base(rover())
-    manager = ConfigurationManager(kb, Returning(operation))
-    kb.request_action("explore")
-    come_to_rest(manager, kb, clock)
-    assert kb.actions["explore"].status is Status.UNFEASIBLE
 
 
 def test_component_given_up_by_a_plan_is_not_started_again():

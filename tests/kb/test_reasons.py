@@ -217,22 +217,6 @@ def test_attempts_and_answers_are_on_record_and_can_be_asked_for(lives):
         [answer(one) for one in kb.history.answers],
     ) == described
     assert kb.history.attempts[0].plan is kb.history.answers[0].plan is kb.plans[0]
-    asked = (
-        "?a a :Attempt ; :ofPlan ?plan ; :about ?c ; :operation ?what ; "
-        ":number ?n ; :start ?s ; :end ?e ; :result ?r"
-    )
-    rows = kb.query(f"SELECT ?name ?what ?n ?s ?e ?r {{ {asked} . ?c :name ?name }} ORDER BY ?n")
-    assert rows == [
-        ("camera", "activate", 1, 300.0, 301.0, "failed"),
-        ("camera", "configure", 2, 300.0, 301.0, "completed"),
-    ]
-    vetoed = (
-        "?v a :VetoAnswer ; :ofPlan ?plan ; :isVetoed true ; :reason ?why ; :time ?t . "
-        "?plan :result ?result"
-    )
-    assert kb.query(f"SELECT ?why ?t ?result {{ {vetoed} }}") == [
-        ("not at night", 301.0, "abandoned")
-    ]
 
 
 def attempt(one):

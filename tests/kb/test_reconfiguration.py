@@ -147,15 +147,6 @@ def test_component_of_both_designs_is_kept(kb):
     assert kb.actions["explore"].status is Status.SOLVED
 
 
-def test_an_asserted_required_does_not_keep_a_component_active(kb):
-    kb.component_active("lidar", True)
-    kb.assert_required(kb.components["lidar"], True)
-    assert kb.components["lidar"].is_required
-    assert kb.obsolete().components == ("lidar",)
-    plan = kb.select()
-    assert (plan.activate, plan.deactivate) == ((), ("lidar",))
-
-
 def test_a_plan_that_fails_leaves_the_older_ones_open(kb):
     kb.request_action("explore")
     first = kb.select({"see": "by lidar"})
