@@ -55,7 +55,7 @@ class Look(RosaAction):
 
     def update(self) -> Status:
         """Go on; called at each tick."""
-        is_over = self.base.now - self.began >= domain.duration_s(self.step.schema)
+        is_over = self.base.now - self.began >= domain.schema_of[self.step.schema].duration[0]
         return Status.SUCCESS if is_over else Status.RUNNING
 
     def terminate(self, new_status: Status) -> None:

@@ -177,10 +177,8 @@ class Course:
         """Forecast the attribute for a time [s]."""
         element = self._element
         passed = time - self._series.times[-1]
-        ahead = max(passed, self._step)
-        knot = math.ceil(math.log2(ahead / self._step) - _ROUNDING)
-        line = self._line(len(self._rates) - 1, self._step * 2.0**knot)
-        radius = self._radius(knot, ahead)
+        line = self._line(len(self._rates) - 1)
+        radius = self._radius(passed)
         if line is None or (radius is None and not self._is_by_rates):
             return _unknown(element.name, "too little was measured to go so far ahead", time, now)
         last, slope = line
@@ -229,26 +227,28 @@ class Course:
     def _slope(self, names: Iterable[str]) -> float:
         return math.fsum(self._slopes[name] for name in names)
 
-    def _line(self, place: int, ahead: float) -> tuple[float, float] | None:
-        """Return the value and the slope at a place of a line that goes so far ahead [s]."""
+    def _line(self, place: int) -> tuple[float, float] | None:
+        """Return the value and the slope at a place of the line that goes on from there."""
         times, values = self._series
         if self._is_by_rates:
             return values[place], self._slope(self._rates[place])
         if self._element.forecasting == "constant":
             return values[place], 0.0
-        end = times[place]
-        fewest = max(place + 1 - _FEWEST_POINTS, 0)
-        latest = self._series.part(min(fewest, bisect_left(times, end - 2 * ahead)), place)
+        latest = self._series.part(max(place + 1 - _MOST_POINTS, 0), place)
         slope = slope_of(latest)
         if slope is None:
             return None
-        heights = [value - slope * (time - end) for time, value in zip(*latest, strict=True)]
+        heights = [
+            value - slope * (time - times[place]) for time, value in zip(*latest, strict=True)
+        ]
         return median(heights), slope
 
-    def _radius(self, knot: int, ahead: float) -> float | None:
+    def _radius(self, passed: float) -> float | None:
         """Return how far a forecast may be off, from the next span that was checked."""
         if not self._radii or self._is_guess(len(self._rates) - 1):
             return None
+        ahead = max(passed, self._step)
+        knot = math.ceil(math.log2(ahead / self._step) - _ROUNDING)
         last = min(knot, len(self._radii) - 1)
         share = ahead / (self._step * 2.0**last)
         if share > _REACH and not self._is_by_rates:
@@ -284,9 +284,7 @@ class Course:
         came = bisect_left(times, then - _ROUNDING * ahead)
         if came == len(times):
             return None
-        if times[came] > then + 2 * self._step:  # seldom measured: it is what it was last
-            came -= 1
-        line = self._line(place, ahead)
+        line = self._line(place)
         if line is None or self._restorations[place] < self._restorations[came]:
             return None
         if self._is_guess(place):

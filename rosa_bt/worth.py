@@ -128,15 +128,17 @@ class Lookahead:
         self._period = period
         self.latest = Decision()
         self._decided_at: tuple[int, float] = -1, -inf
-        self._begun: tuple[Detour, float, list[str]] | None = None
+        self._detour: Detour | None = None
+        self._until = -inf
+        self._postponed: list[str] = []
         self._stated()
 
     def update(self) -> Decision:
         """Decide if it is time to, and put off what a detour interrupts."""
         kb = self._kb
         revision, time = self._decided_at
-        if self._begun is not None:
-            if self._is_under_way():
+        if self._detour is not None:
+            if self._is_under_way(self._detour):
                 return self.latest
             self._take_up()
         elif kb.revision == revision and kb.now < time + self._period:
@@ -148,10 +150,6 @@ class Lookahead:
                 self._put_off(value, detour)
         self._decided_at = kb.revision, kb.now
         return self.latest
-
-    def decide(self) -> Decision:
-        """Return the best decision now, and change nothing."""
-        return self._decide(self._stated())
 
     def _stated(self) -> MissionValue:
         value = (self._given() if callable(self._given) else self._given) or MissionValue(inf)
@@ -174,32 +172,31 @@ class Lookahead:
                 work = decision
         return work
 
-    def _is_under_way(self) -> bool:
-        assert self._begun is not None
-        detour, until, _ = self._begun
+    def _is_under_way(self, detour: Detour) -> bool:
         kb = self._kb
-        levels = {name: kb.attributes[name].value or 0.0 for name in detour.restores}
-        is_done = all(levels[name] >= 0.95 * full for name, full in detour.restores.items())
-        return kb.now < until and kb.is_feasible(detour.action) and not is_done
+        if kb.now >= self._until or not kb.is_feasible(detour.action):
+            return False
+        full = detour.restores.items()
+        return any((kb.attributes[name].value or 0.0) < 0.95 * value for name, value in full)
 
     def _take_up(self) -> None:
         """Let what was put off be feasible again, unless somebody else has asserted something."""
-        assert self._begun is not None
         kb = self._kb
-        for name in self._begun[2]:
+        for name in self._postponed:
             if name in kb.actions and self.latest.reason in kb.why(kb.actions[name]):
                 kb.retract_status(kb.actions[name])
-        self._begun = None
+        self._detour = None
 
     def _put_off(self, value: MissionValue, detour: Detour) -> None:
         """Assert the gaining actions unfeasible, for at most twice the time of the detour."""
         kb = self._kb
         takes = detour.there(value.away) + detour.back(value.away)
-        until = kb.now + 2 * takes + self._period
-        names = [gain.action for gain in value.gains if kb.is_feasible(gain.action)]
-        for name in names:
-            kb.assert_status(kb.actions[name], Status.UNFEASIBLE, self.latest.reason, until)
-        self._begun = detour, until, names
+        self._detour = detour
+        self._until = kb.now + 2 * takes + self._period
+        self._postponed = [gain.action for gain in value.gains if kb.is_feasible(gain.action)]
+        for name in self._postponed:
+            action = kb.actions[name]
+            kb.assert_status(action, Status.UNFEASIBLE, self.latest.reason, self._until)
 
 
 class ValueSelector(Selector):

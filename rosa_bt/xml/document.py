@@ -10,7 +10,6 @@ from xml.etree import ElementTree
 from xml.parsers.expat import ExpatError, ParserCreate
 
 from rosa_bt.exceptions import XmlError, hint
-from rosa_bt.xml.blackboard import key_of
 from rosa_bt.xml.nodes import RULES
 
 MAX_SIZE: Final = 1_000_000

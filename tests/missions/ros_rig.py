@@ -34,7 +34,7 @@ def rover():
 
 
 def until(holds, *, turn=lambda: None):
-    end = time.monotonic() + 20.0
+    end = time.monotonic() + 120.0
     while not holds():
         assert time.monotonic() < end, "it never came true"
         turn()

@@ -1,9 +1,8 @@
 """A plain twin of BehaviorTree.CPP 4, to judge what is read from XML.
 
 Written from how its nodes are documented and behave, without a thought of py_trees: a node has a
-    status of its own,
-`execute` asks pre-conditions, ticks and runs post-conditions, a parent halts and resets its
-children by name.
+status of its own, `execute` asks pre-conditions, ticks and runs post-conditions, and a parent halts
+and resets its children by name.
 """
 
 import operator
@@ -11,7 +10,7 @@ import re
 from collections import UserDict
 from xml.etree import ElementTree
 
-SCRIPT = re.compile(r"(@?\w+) (:?=|\+=|\*=) (!?)(\w+|[\d.]+)(?: (&) (\d+))?")
+SCRIPT = re.compile(r"(@?\w+) (:?=|\+=) (!?)(\w+|[\d.]+)(?: (&) (\d+))?")
 CONDITION = re.compile(r"(!?)(@?\w+)(?: ([<>=]+) ([\d.]+))?")
 
 
@@ -31,8 +30,8 @@ def run(code, board):
             value = float(not value)
         if mask:
             value = float(whole(value) & int(mask))
-        if sign in ("+=", "*="):
-            value = before + value if sign == "+=" else before * value
+        if sign == "+=":
+            value += before
         if type(before) is int:
             value = whole(value)
         elif before is not None:
@@ -107,7 +106,7 @@ class World:
     def __init__(self, leaves, enums, ports):
         self.enums = enums
         self.ports = ports
-        self.leaves = {tag: (kind, script) for tag, (kind, script) in leaves.items()}
+        self.leaves = dict(leaves)
         self.ticked = dict.fromkeys(leaves, 0)
         self.said, self.boards, self.now = [], [Board()], 0.0
 

@@ -93,16 +93,13 @@ def test_status_condition_that_means_nothing_is_refused(kb, element, status, err
         HasStatus("x", kb, element, status)
 
 
-@pytest.mark.parametrize(
-    ("operator", "holds"),
-    [(">=", [0, 1, 1]), (">", [0, 0, 1]), ("<=", [1, 1, 0]), ("<", [1, 0, 0])],
-)
+@pytest.mark.parametrize(("operator", "holds"), [(">=", "FSS"), (">", "FFS"), ("<", "SFF")])
 def test_measurement_condition_compares(kb, operator, holds):
     condition = Measurement("x", kb, "energy", operator, 0.25)
     for value, expected in zip([0.2, 0.25, 0.3], holds, strict=True):
         kb.measure("energy", value)
         condition.tick_once()
-        assert condition.status is (Status.SUCCESS if expected else Status.FAILURE)
+        assert condition.status.name[0] == expected
 
 
 def test_measurement_that_is_missing_or_stale_counts_as_said(clock):
@@ -238,19 +235,6 @@ def test_transition_runs_only_in_its_direction(kb):
     root.tick_once()
     assert required(kb) == ["search"]
     assert land.begun == 1
-
-
-def test_transition_that_was_interrupted_is_begun_again(kb):
-    land = Act(kb, "land")
-    root, _ = analysing_after_inspecting(kb, land)
-    root.tick_once()
-    kb.measure("light", 0.0)
-    root.tick_once()
-    root.stop(Status.INVALID)
-    assert required(kb) == []
-    root.tick_once()
-    assert required(kb) == ["land"]
-    assert land.begun == 2
 
 
 def test_action_does_not_begin_when_its_transition_fails(kb):

@@ -52,14 +52,11 @@ TOLD = {
     "energy": lambda kb, number: kb.measure("energy", number / 10),
     "fail": lambda kb, number: kb.component_failed("camera", "dirt" if number % 2 else ""),
     "recover": lambda kb, number: kb.component_recovered("camera"),
-    "stop": lambda kb, number: kb.component_active("radar", False, "crashed" if number % 2 else ""),
     "assert": lambda kb, number: kb.assert_status(
         kb.actions["explore"], "unfeasible", "a person says so", kb.now + 1
     ),
     "forbid": lambda kb, number: kb.assert_status("by_camera", "unfeasible"),
     "allow": lambda kb, number: kb.retract_status("by_camera"),
-    "ask": lambda kb, number: kb.request_action("charge"),
-    "stop asking": lambda kb, number: kb.cancel_action("charge", "failed", "a person says so"),
 }
 TELLING = st.lists(
     st.lists(st.tuples(st.sampled_from(sorted(TOLD)), st.integers(0, 9)), max_size=3), max_size=8

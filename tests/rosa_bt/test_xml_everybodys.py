@@ -10,6 +10,7 @@ from py_trees.ports import PortInformation, PortsMixin
 
 from rosa_bt import BehaviourRegistry, TreeRunner, load_xml
 from rosa_bt.xml.nodes import NODES
+from rosa_bt.xml.registry import BUILT_IN
 
 TREES = Path(__file__).parent / "trees"
 BLANK = "' ' cannot stand in an ID"
@@ -89,23 +90,13 @@ def registry_for(path):
     text = path.read_text()
     leaves = re.findall(r"<(?:(?:Action|Condition) ID=\"([^\"]+)\"|(\w+))([^>]*?)/?>", text)
     trees = re.findall(r'<BehaviorTree ID="([^"]+)"', text)
-    forms = {
-        "Action",
-        "BehaviorTree",
-        "Condition",
-        "Control",
-        "Decorator",
-        "SubTree",
-        "root",
-        "TreeNodesModel",
-    }
     registry = BehaviourRegistry()
     ports = {}
     for identifier, tag, attributes in leaves:
         names = re.findall(r"\b(?<!_)([a-z]\w*)=", attributes)
         ports.setdefault(identifier or tag, set()).update(set(names) - {"name", "ID"})
     for tag, names in ports.items():
-        if tag not in {*NODES, *forms, *trees}:
+        if tag not in {*BUILT_IN, *NODES, *trees, "TreeNodesModel"}:
             declared = {name: PortInformation(object, required=False) for name in sorted(names)}
             registry.register(tag, type(tag, (Leaf,), {"INPUT_PORTS": declared}, register=False))
     return registry

@@ -47,10 +47,6 @@ MISSION_XML = """
 """
 
 
-def test_all_recorded_cases_are_here():
-    assert len(RANDOM) == 75
-
-
 @pytest.mark.parametrize("case", RANDOM, ids=range(len(RANDOM)))
 def test_recorded_trace_is_reproduced_also_after_export(case):
     said = []

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
+from acting import Clock
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation, PortsMixin
@@ -119,13 +120,6 @@ def held(kind, value):
     return dict(zip("xy", value, strict=True)) if kind == "point" else value
 
 
-class Hand:
-    now = 0.0
-
-    def __call__(self):
-        return self.now
-
-
 def is_same(recorded, found):
     kind, value, _ = recorded
     if kind not in ("double", "int", "bool"):
@@ -152,7 +146,7 @@ def board_differences(recorded, boards):
 def differences(case):
     """Yield in which a case is not as it was recorded."""
     said = []
-    clock = Hand()
+    clock = Clock()
     try:
         tree = load_xml(
             case["xml"], registry_for(case, said), enums=case.get("enums", {}), clock=clock

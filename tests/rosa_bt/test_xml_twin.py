@@ -118,7 +118,7 @@ class Grower:
     def script(self):
         statements = (
             *("x := !x", "y = !y", "@g += 1", "n += 1"),
-            *("n := n & 7", "d += 0.25", "d = n", "d *= 2", "n = 3", "y = x", "w := n & 3"),
+            *("n := n & 7", "d += 0.25", "d = n", "n = 3", "y = x", "w := n & 3"),
         )
         return "; ".join(self.random.choices(statements, k=self.random.randint(1, 3)))
 
