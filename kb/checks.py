@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
-from itertools import combinations, groupby, pairwise
+from itertools import groupby, pairwise
 from math import inf
 from pathlib import Path
 from types import MappingProxyType
@@ -13,8 +13,10 @@ from typing import Final
 from kb.elements import KINDS, Constraint, Element, Owner, RequiredActionFact, listed, text
 from kb.exceptions import UnknownName
 from kb.network import Network, Node
-from kb.remedies import FALSE, Conjunction, Interval, Requirements, bounds
+from kb.remedies import FALSE, Interval, Requirements, bounds
 
+QUICK: Final = 4
+"""How many alternatives suffice to see that an element is possible."""
 MOST_ACTIONS: Final = 4
 PREFERRED: Final = 32
 """The most preferred alternatives with which each one is compared."""
@@ -74,14 +76,15 @@ def rules() -> Mapping[str, Rule]:
     import tomllib  # slow to import
 
     read = tomllib.loads(Path(__file__).with_name("checks.toml").read_text(encoding="utf-8"))
-    made = {
-        code: Rule(Severity(one["severity"]), one["meaning"], one["advice"])
-        for code, one in read.items()
-    }
-    return MappingProxyType(made)
+    return MappingProxyType(
+        {
+            code: Rule(Severity(row["severity"]), row["meaning"], row["advice"])
+            for code, row in read.items()
+        }
+    )
 
 
-def found(code: str, element: object, message: str) -> Finding:
+def finding_of(code: str, element: object, message: str) -> Finding:
     rule = rules()[code]
     return Finding(code, rule.severity, str(element), message, rule.advice)
 
@@ -111,7 +114,7 @@ def check_model(model: Owner, names: Iterable[str] | None = None) -> tuple[Findi
         *_out_of_range(model),
         *_doubtful_choices(model, network),
         *_restored_twice(network),
-        *(found("file-note", f"model {model.name}", note) for note in model.notes),
+        *(finding_of("file-note", f"model {model.name}", note) for note in model.notes),
     ]
     places = {_described(element): place for element, place in model.places.items()}
     placed = [replace(each, place=places.get(each.element, "")) for each in findings]
@@ -127,26 +130,26 @@ def _mismatches(actions: Collection[str], names: Iterable[str]) -> Iterator[Find
     mentioned = dict.fromkeys(text("an action's name", name) for name in names)
     for name in mentioned:
         if name not in actions:
-            yield found("unknown-action", name, str(UnknownName("action", name, actions)))
+            yield finding_of("unknown-action", name, str(UnknownName("action", name, actions)))
     for name in actions:
         if name not in mentioned:
             what = f"action {name}"
-            yield found("unmentioned-action", what, f"{what} is mentioned nowhere")
+            yield finding_of("unmentioned-action", what, f"{what} is mentioned nowhere")
 
 
 def _incomplete(network: Network) -> Iterator[Finding]:
     for node in network.actions.values():
         if not node.requires:
-            yield found("action-without-functions", node, f"{node} requires no function")
+            yield finding_of("action-without-functions", node, f"{node} requires no function")
     for node in network.designs.values():
         if not node.requires:
             message = f"{node} of {node.used_by[0]} has no component"
-            yield found("design-without-components", node, message)
+            yield finding_of("design-without-components", node, message)
     for node in network.attributes.values():
         for rate in node.attribute.rates:
             if rate.while_ and rate.while_ not in network.actions:
                 unknown = UnknownName("action", rate.while_, network.actions)
-                yield found("unknown-action", node.name, f"a rate of {node.name}: {unknown}")
+                yield finding_of("unknown-action", node.name, f"a rate of {node.name}: {unknown}")
 
 
 def _preferences(model: Owner) -> list[tuple[str, str]]:
@@ -160,14 +163,14 @@ def _unused(model: Owner, network: Network) -> Iterator[Finding]:
     used = preferred | {estimation.attribute for estimation in model.estimations}
     for node in network.attributes.values():
         if not node.constraints and node.name not in used:
-            yield found("unused-attribute", node, f"nothing depends on {node}")
+            yield finding_of("unused-attribute", node, f"nothing depends on {node}")
     for table, nobody in (
         (network.functions, "no action requires"),
         (network.components, "no design uses"),
     ):
         for node in table.values():
             if not node.used_by:
-                yield found(f"unused-{node.kind}", node, f"{nobody} {node}")
+                yield finding_of(f"unused-{node.kind}", node, f"{nobody} {node}")
 
 
 def _out_of_range(model: Owner) -> Iterator[Finding]:
@@ -182,7 +185,7 @@ def _out_of_range(model: Owner) -> Iterator[Finding]:
             where = listing(element.name for element in constraint.constrained)
             what = _described(constraint)
             message = f"{what} {how}: {attribute.name} is {attribute.range} (on {where})"
-            yield found("out-of-range", what, message)
+            yield finding_of("out-of-range", what, message)
 
 
 def _restored_twice(network: Network) -> Iterator[Finding]:
@@ -194,7 +197,7 @@ def _restored_twice(network: Network) -> Iterator[Finding]:
         if len(actions) > 1:
             what = _described(element)
             message = f"{what} is restored by actions {listing(actions)}"
-            yield found("restored-twice", what, message)
+            yield finding_of("restored-twice", what, message)
 
 
 # ---------------------------------------------------------------- what is never possible
@@ -205,35 +208,35 @@ def _contradictions(network: Network) -> Iterator[Finding]:
 
     A finding names the actions that its root makes impossible; what is between has no findings.
     """
+    quick = Requirements(limit=QUICK)
     requirements = Requirements()
-    nodes = [node for node in network.present() if node.kind not in ("attribute", "constraint")]
-    impossible = {node: None for node in nodes if requirements.of(node) == FALSE}
+    impossible: dict[Node, None] = {}
+    for node in network.present():
+        is_element = node.kind not in ("attribute", "constraint")
+        if is_element and not quick.of(node).conjunctions and requirements.of(node) == FALSE:
+            impossible[node] = None
     for node in impossible:
         broken = [part in impossible for part in node.requires]
         is_consequence = any(broken) and (all(broken) or node.kind != "component")
         contradictions = list(_contradiction(node))
         for contradiction in contradictions:
             message = f"{node} is constrained by {contradiction}{_consequence(node, impossible)}"
-            yield found("contradictory-constraints", node, message)
+            yield finding_of("contradictory-constraints", node, message)
         if node.kind == "function" and not broken:
             message = f"{node} has no design{_consequence(node, impossible)}"
-            yield found("function-without-designs", node, message)
+            yield finding_of("function-without-designs", node, message)
         elif not contradictions and not is_consequence and node.kind != "function":
             conflict = f"{_conflict(node, requirements)}{_consequence(node, impossible)}"
-            yield found("never-feasible", node, f"{node} can never be feasible: {conflict}")
+            yield finding_of("never-feasible", node, f"{node} can never be feasible: {conflict}")
 
 
 def _contradiction(node: Node) -> Iterator[str]:
-    """Yield the own constraints of an element that exclude one another, or every number."""
+    """Yield the own constraints of an element that leave no value of an attribute."""
     for attribute, interval in bounds(node).items():
-        own = [each.constraint for each in node.constraints]
-        own = [constraint for constraint in own if constraint.attribute == attribute]
-        pairs = [(constraint, constraint) for constraint in own] + list(combinations(own, 2))
-        for first, second in pairs if interval.is_empty else ():
-            if Interval.of(first).meet(Interval.of(second)).is_empty:
-                both = f"{first} and {second}, which no value satisfies both"
-                yield both if first is not second else f"{first}, which no number satisfies"
-                break
+        if interval.is_empty:
+            own = [each.constraint for each in node.constraints]
+            texts = [str(constraint) for constraint in own if constraint.attribute == attribute]
+            yield f"{listing(texts)}, which no value satisfies"
 
 
 def _consequence(node: Node, impossible: Collection[Node]) -> str:
@@ -250,25 +253,15 @@ def _consequence(node: Node, impossible: Collection[Node]) -> str:
 
 
 def _conflict(node: Node, requirements: Requirements) -> str:
-    """Name two needs that exclude one another; else all needs."""
-    needs: dict[str, list[Conjunction]] = {}
-    for constraint in node.constraints:
-        own = requirements.of(constraint).conjunctions
-        needs[f"its own constraint {constraint.name}"] = list(own)
-    for part in node.requires:
+    """Name the needs of an element, with their intervals if there is only one way to meet them."""
+    needs = [f"its own constraint {constraint.name}" for constraint in node.constraints]
+    if node.kind == "component":
+        needs.append("each of its configurations")
+    for part in node.requires if node.kind != "component" else ():
         ways = requirements.of(part).conjunctions
-        if node.kind == "component":
-            needs.setdefault("each of its configurations", []).extend(ways)
-            continue
-        bounded = [
-            interval.text(name)
-            for name, interval in (ways[0].items() if len(ways) == 1 else ())
-            if isinstance(name, str)
-        ]
-        needs[f"{part} ({' and '.join(bounded)})" if bounded else str(part)] = list(ways)
-    for (name, mine), (other, theirs) in combinations(needs.items(), 2):
-        if not any(way.meet(their) for way in mine for their in theirs):
-            return f"{name} and {other} exclude one another, whatever is measured"
+        only = ways[0] if len(ways) == 1 else {}
+        bounded = [only[name].text(name) for name in only if isinstance(name, str)]
+        needs.append(f"{part} ({' and '.join(bounded)})" if bounded else str(part))
     return f"{listing(needs, 8)} cannot be met together, whatever is measured"
 
 
@@ -295,14 +288,14 @@ def _doubtful_choices(model: Owner, network: Network) -> Iterator[Finding]:
             if without:
                 some = f"some {owner.requires[0].kind}s of {owner} but not for {listing(without)}"
                 message = f"{attribute} is estimated for {some}"
-                yield found("missing-estimation", owner, message)
+                yield finding_of("missing-estimation", owner, message)
         if not any(names.values()):  # else a preference may select what priority never would
             yield from _dominated(owner)
     for action, attribute in dict.fromkeys(_preferences(model)):
         node = network.actions[action]
         if attribute not in estimated(node):
             what = f"{node} prefers {attribute}, which is estimated for nothing that it can use"
-            yield found("missing-estimation", node, what)
+            yield finding_of("missing-estimation", node, what)
 
 
 def _priority(node: Node) -> float:
@@ -327,7 +320,7 @@ def _ties(owner: Node) -> Iterator[Finding]:
             which = "no priority" if priority == inf else f"the same priority, {priority}"
             names = sorted(part.name for part in tied)
             what = f"{tied[0].kind}s {listing(names)} of {owner} have {which}"
-            yield found("tied-priorities", owner, f"{what}; {names[0]} comes first")
+            yield finding_of("tied-priorities", owner, f"{what}; {names[0]} comes first")
 
 
 def _exclude_one_another(alternatives: Sequence[Mapping[str, Interval]]) -> bool:
@@ -355,7 +348,7 @@ def _excluded(component: Node) -> Iterator[Finding]:
     for part, name in clashes if len(clashes) < possible and not _is_contradictory(own) else ():
         needs = bounds(part)[name].text(name)
         message = f"{part} needs {needs}, but its {component} {own[name].text(name)}"
-        yield found("never-selected", part, message)
+        yield finding_of("never-selected", part, message)
 
 
 def _dominated(owner: Node) -> Iterator[Finding]:
@@ -372,5 +365,7 @@ def _dominated(owner: Node) -> Iterator[Finding]:
             )
             if _priority(rival) < _priority(part) and is_within and is_easier:
                 why = f"whenever it is feasible, so is {rival.name}, which is preferred"
-                yield found("never-selected", part, f"{part} of {owner} is never chosen: {why}")
+                yield finding_of(
+                    "never-selected", part, f"{part} of {owner} is never chosen: {why}"
+                )
                 break

@@ -169,21 +169,21 @@ def whole(what: str, value: object, least: int = 1) -> int:
     raise InvalidValue(f"{what} is a whole number from {least}, not {shown(value)}")
 
 
-def choice(what: str, options: type[ChoiceT], given: object) -> ChoiceT:
-    if isinstance(given, options):
-        return given
+def choice(what: str, options: type[ChoiceT], value: object) -> ChoiceT:
+    if isinstance(value, options):
+        return value
     try:
-        return options(str(given))
+        return options(str(value))
     except ValueError:
-        raise UnknownName(what, given, [str(option) for option in options]) from None
+        raise UnknownName(what, value, [str(option) for option in options]) from None
 
 
-def status_of(kind: str, given: object) -> Status:
+def status_of(kind: str, value: object) -> Status:
     """Return a status that elements of a kind can have."""
-    if given not in STATUSES.get(kind, ()):
+    if value not in STATUSES.get(kind, ()):
         known = ", ".join(repr(str(status)) for status in STATUSES.get(kind, ()))
-        raise InvalidValue(f"a {kind} is never {given!s:.60}; it can be {known}")
-    return Status(str(given))
+        raise InvalidValue(f"a {kind} is never {value!s:.60}; it can be {known}")
+    return Status(str(value))
 
 
 def listed(what: str, values: object) -> tuple[Any, ...]:
@@ -325,7 +325,7 @@ class Owner(Protocol):
         name: str,
         constraints: Iterable["Expression"] = (),
         /,
-        **given: object,
+        **stated: object,
     ) -> ElementT: ...
     def constrain_all(
         self, elements: Iterable["Constrainable"], constraints: Iterable["Expression"]
@@ -592,8 +592,8 @@ class Component(_Estimable):
 
         The lowest priority number is tried first.
         """
-        given = {"component": self, "parameters": parameters or {}, "priority": priority}
-        return self.model.declare(Configuration, name, constraints, **given)
+        stated = {"component": self, "parameters": parameters or {}, "priority": priority}
+        return self.model.declare(Configuration, name, constraints, **stated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -623,8 +623,8 @@ class Function(Element):
 
         The lowest priority number is tried first.
         """
-        given = {"function": self, "components": components, "priority": priority}
-        return self.model.declare(FunctionDesign, name, constraints, **given)
+        stated = {"function": self, "components": components, "priority": priority}
+        return self.model.declare(FunctionDesign, name, constraints, **stated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -739,9 +739,9 @@ def exact(value: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class MeasurementFact:
-    """An attribute had a value, in its unit; a value that is not the latest one goes to the history only.
+    """An attribute had a value, in its unit; one that is not the latest goes to the history only.
 
-    The time of measurement is in s since 1970-01-01 UTC; None stands for the time when the knowledge base is made.
+    The time is in s since 1970-01-01 UTC; None stands for when the knowledge base is made.
     """
 
     attribute: str
@@ -781,9 +781,10 @@ class ActiveFact:
 
 @dataclass(frozen=True, slots=True)
 class RequiredActionFact:
-    """An action was requested, with the weight of each attribute to favour; without an end it is still required.
+    """An action was requested, with the weight of each attribute to favour.
 
-    Start and end are times [s since 1970-01-01 UTC]; a start of None is the time when the knowledge base is made.
+    Without an end it is still required. Start and end are times [s since 1970-01-01 UTC]; a start
+    of None is the time when the knowledge base is made.
     """
 
     action: str
@@ -795,7 +796,7 @@ class RequiredActionFact:
 
 @dataclass(frozen=True, slots=True)
 class ProcessFact:
-    """A component ran, or runs, as a process of the operating system; times as in `RequiredActionFact`."""
+    """A component ran, or runs, as a process; times as in `RequiredActionFact`."""
 
     component: str
     pid: int
@@ -805,7 +806,7 @@ class ProcessFact:
 
 @dataclass(frozen=True, slots=True)
 class PlanFact:
-    """A reconfiguration plan was made; names as in `ReconfigurationPlan`, times as in `RequiredActionFact`."""
+    """A reconfiguration plan was made; times as in `RequiredActionFact`."""
 
     activate: tuple[str, ...] = ()
     deactivate: tuple[str, ...] = ()

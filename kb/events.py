@@ -1,4 +1,7 @@
-"""Events: everything that becomes known, as data that can be replayed; their log, and its subscribers."""
+"""Events: everything that becomes known, as data that can be replayed.
+
+Their log, and its subscribers.
+"""
 
 import logging
 from collections.abc import Callable, Mapping
@@ -70,14 +73,18 @@ class Event(NamedTuple):
     Attributes:
         number: 1 for the first.
         time: when [s].
-        verb: name of the method of `KnowledgeBase` that records it again, e.g. "measure"; "stale", "dwell" and "lapse"
-            are what time does, "begin" is what the model states, "amend" a change of the model, "store" how the store
-            is, "progress" where an action of a task layer is.
-        arguments: of the method, all of them, as plain values: names, numbers, texts. An element is (kind, name), a
-            constraint (kind, name, position) by what it constrains, a plan or attempt its number.
+        verb: name of the method of `KnowledgeBase` that records it again, e.g. "measure"; "stale",
+            "dwell" and "lapse" are what time does, "begin" is what the model states, "amend" a
+            change of the model, "store" how the store is, "progress" where an action of a task
+            layer is.
+        arguments: of the method, all of them, as plain values: names, numbers, texts. An element is
+            (kind, name), a constraint (kind, name, position) by what it constrains, a plan or
+            attempt its number.
         changes: the statuses that changed by it.
-        cause: number of the event that caused it; None if that is not known, or it is news from outside.
-        effects: what was selected, or is no longer, by a selection: (kind, name, whether it is selected).
+        cause: number of the event that caused it; None if that is not known, or it is news from
+            outside.
+        effects: what was selected, or is no longer, by a selection: (kind, name, whether it is
+            selected).
         plan: the plan that a selection made.
         words: the event in words, if whoever made it knows them better than the arguments say.
     """
@@ -103,7 +110,10 @@ class Event(NamedTuple):
 
     @property
     def subject(self) -> str:
-        """Name of the attribute, component, action or other element that it is about; empty where it is about none."""
+        """Name of the attribute, component, action or other element that it is about.
+
+        Empty where it is about none.
+        """
         first = self.arguments[0] if self.arguments else ""
         if isinstance(first, tuple):
             return str(first[1])
@@ -217,7 +227,10 @@ class Publisher:
         return stop
 
     def deliver(self) -> None:
-        """Call the subscribers with new events, unless a thread does so already; then it goes on with these."""
+        """Call the subscribers with new events, unless a thread does so already.
+
+        Then it goes on with these.
+        """
         while (
             any(subscriber.last < self._log.last for subscriber in self.subscribers)
             and not self.is_held()

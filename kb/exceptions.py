@@ -1,10 +1,14 @@
-"""The errors of the knowledge base; each message says what was given, what exists and what to do."""
+"""The errors of the knowledge base.
+
+Each message says what was given, what exists and what to do.
+"""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
 
 _MANY = 5000
-"""With more names than this, an unknown name is compared only with those that begin with the same letters."""
+"""With more names than this, an unknown name is compared only with those that begin with the same
+letters."""
 
 
 class KnowledgeBaseError(Exception):
@@ -24,11 +28,14 @@ class InvalidValue(KnowledgeBaseError, ValueError):
 
 
 class Unselectable(InvalidValue):
-    """A design or configuration cannot be selected because it is unfeasible now; nothing is selected."""
+    """A design or configuration cannot be selected because it is unfeasible now.
+
+    Nothing is selected.
+    """
 
 
 class ProtocolError(KnowledgeBaseError, TypeError):
-    """A managed system, planner, executor or monitor does not follow its protocol: an error in a program."""
+    """A managed system, planner, executor or monitor does not follow its protocol."""
 
 
 class AmbiguousName(KnowledgeBaseError, ValueError):

@@ -1,4 +1,7 @@
-"""Model files: they are read and written completely or not at all; and places in them, for messages."""
+"""Model files: they are read and written completely or not at all.
+
+And places in them, for messages.
+"""
 
 import os
 from collections.abc import Iterator
@@ -87,14 +90,16 @@ def read_text(file: Path) -> str:
         likely = (
             "UTF-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "Latin-1 or Windows-1252"
         )
-        message = f"byte {content[error.start]:#04x} at offset {error.start} is not UTF-8, which is expected; "
+        message = f"byte {content[error.start]:#04x} at offset {error.start} is not UTF-8; "
         message += f"the file may be {likely}: save it as UTF-8"
         raise ModelFileError(message, str(file), before.count(b"\n") + 1, column) from None
 
 
 @contextmanager
 def draft(path: Path) -> Iterator[Path]:
-    """Make a new file of a random name beside a place; it is removed afterwards, unless it was put in that place.
+    """Make a new file of a random name beside a place.
+
+    It is removed afterwards, unless it was put in that place.
 
     Raises:
         OSError: it cannot be made.
@@ -126,7 +131,9 @@ def sync_folder(folder: Path) -> None:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Replace a file in one step, so that nothing half-written is ever found there; a link is followed.
+    """Replace a file in one step, so that nothing half-written is ever found there.
+
+    A link is followed.
 
     Raises:
         OSError: it cannot be written; what was there is there.

@@ -71,7 +71,8 @@ _CLOCK_SLACK_S: Final = 1.0
 _REPLAYABLE: Final[dict[str, Callable[..., object]]] = {}
 """The method that records an event again, by its verb."""
 _LOCKS: Final[WeakSet[Any]] = WeakSet()
-"""The locks of all bases: if another thread held one at a fork, the child could never use that base."""
+"""The locks of all bases: if another thread held one at a fork, the child could never use that
+base."""
 _held_locks: list[Any] = []
 
 MethodT = TypeVar("MethodT", bound=Callable[..., Any])
@@ -177,7 +178,8 @@ class KnowledgeBase:
         history: records that are needed less often.
         store: the file of the log, and its error if it has one; None without a store.
         forecast: predicts attributes, as in `kb.forecast("energy", 30.0)`; see `Forecaster`.
-        actions, functions, components, designs, configurations, attributes: read-only views by name.
+        actions, functions, components, designs, configurations, attributes: read-only views by
+            name.
     """
 
     def __init__(
@@ -264,7 +266,10 @@ class KnowledgeBase:
     feasible_until = feasible_until
 
     def reading(self) -> AbstractContextManager[State]:
-        """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
+        """Give the facts and statuses, to be read only.
+
+        Nothing changes within the `with` statement.
+        """
         if self.model.pending is not None:
             self.model.settle()
         due = self._state.next_due if self._is_timed else NEVER
@@ -298,7 +303,10 @@ class KnowledgeBase:
 
     @property
     def revision(self) -> int:
-        """Grows whenever a fact changes that can matter to a planner; a measurement counts only if a status changes."""
+        """Grows whenever a fact changes that can matter to a planner.
+
+        A measurement counts only if a status changes.
+        """
         self.reading()  # makes the events that are due; a single read needs no lock
         return self._revision
 
@@ -327,14 +335,15 @@ class KnowledgeBase:
             return next(reversed(self._records.open_plans.values()), None)
 
     def query(self, sparql: str, timeout: float = 10.0) -> list[tuple[Answer, ...]]:
-        """Answer a SPARQL query over the model, all facts that were recorded, and the statuses that follow from them.
+        """Answer a SPARQL query over the model, the facts and the statuses that follow from them.
 
         Args:
             sparql: a SELECT query; the prefixes `:` and `rosa:` stand for the vocabulary of ROSA.
             timeout: how long the query may take [s].
 
         Returns:
-            One tuple for each answer, of numbers, texts, booleans or None; an individual is given by its IRI.
+            One tuple for each answer, of numbers, texts, booleans or None; an individual is given
+            by its IRI.
 
         Raises:
             InvalidValue: the text is no query, or the query would change something.
@@ -360,7 +369,8 @@ class KnowledgeBase:
 
         Raises:
             UnknownName: the model has no such attribute.
-            InvalidValue: the value is not a finite number or is outside the attribute's range; nothing is recorded.
+            InvalidValue: the value is not a finite number or is outside the attribute's range;
+                nothing is recorded.
         """
         node = self._network.attributes[attribute]
         element: Any = node.element
@@ -374,7 +384,10 @@ class KnowledgeBase:
 
     @_update
     def component_failed(self, component: str, reason: str = "") -> None:
-        """Record that a component has failed; explanations and the store give the reason, in words."""
+        """Record that a component has failed.
+
+        Explanations and the store give the reason, in words.
+        """
         text("the reason of a failure", reason)
         node = self._network.components[component]
         is_news = reason not in ("", self._state.reason("failed", node).text)
@@ -391,7 +404,10 @@ class KnowledgeBase:
 
     @_update
     def component_active(self, component: str, active: bool, reason: str = "") -> None:
-        """Record whether a component is running; if it is not, explanations give the reason, in words."""
+        """Record whether a component is running.
+
+        If it is not, explanations give the reason, in words.
+        """
         node = self._network.components[component]
         text("the reason why a component is not active", reason)
         if (node in self._state.active) != flag("active", active, InvalidValue):
@@ -400,15 +416,17 @@ class KnowledgeBase:
     def receive(
         self, diagnostics: object, *, rules: DiagnosticRules | None = None
     ) -> tuple[DiagnosticProblem, ...]:
-        """Record the facts in a DiagnosticArray of ROS; see `kb.diagnostics` for the forms that are accepted.
+        """Record the facts in a DiagnosticArray of ROS.
+
+        See `kb.diagnostics` for the forms that are accepted.
 
         Args:
             diagnostics: the array.
             rules: the meaning of statuses that are not ROSA's own.
 
         Returns:
-            The parts that could not be used, and why; all other parts are recorded. These problems are also logged,
-            and counted in `history.rejected`.
+            The parts that could not be used, and why; all other parts are recorded. These problems
+            are also logged, and counted in `history.rejected`.
         """
         problems = record_diagnostics(self, diagnostics, rules)
         with self._lock:
@@ -429,7 +447,8 @@ class KnowledgeBase:
             element: a view, an element of the model, or a name that only one element has.
             status: one that an element of this kind can have.
             reason: why, in words; explanations and the store give it.
-            until: when it lapses by itself [s, by the clock of this base], later than now; None or `math.inf`: never.
+            until: when it lapses by itself [s, by the clock of this base], later than now; None or
+                `math.inf`: never.
         """
         text("the reason of an asserted status", reason)
         end = None if until is None or until == inf else finite_number(until)
@@ -451,7 +470,10 @@ class KnowledgeBase:
 
     @_update
     def assert_required(self, element: ElementLike, required: bool | None) -> None:
-        """State that an element is required; False or None takes that back, but not an inferred requirement."""
+        """State that an element is required.
+
+        False or None takes that back, but not an inferred requirement.
+        """
         node = self._node(element, ("action", "function", "component"))
         if required is not None:
             flag("required", required, InvalidValue)
@@ -478,14 +500,17 @@ class KnowledgeBase:
         *,
         cause: int | None = None,
     ) -> Reply:
-        """Request that the robot is configured for an action; an unfeasible action is refused, with the reason.
+        """Request that the robot is configured for an action.
+
+        An unfeasible action is refused, with the reason.
 
         Args:
             action: name of the action.
-            preference: name of the attribute to favour when a configuration is chosen for the action, or a mapping
-                from names of attributes to weights.
-            cause: number of the event that led to the request; by default the event that ended another action at this
-                instant, else the latest event that made an action feasible or unfeasible.
+            preference: name of the attribute to favour when a configuration is chosen for the
+                action, or a mapping from names of attributes to weights.
+            cause: number of the event that led to the request; by default the event that ended
+                another action at this instant, else the latest event that made an action feasible
+                or unfeasible.
         """
         node = self._network.actions[action]
         wanted = situations.preferred(self._network, preference)
@@ -502,13 +527,16 @@ class KnowledgeBase:
     def cancel_action(
         self, action: str, result: str = "abandoned", reason: str = "", *, cause: int | None = None
     ) -> None:
-        """Record that an action is no longer required, and how it ended; nothing happens if it is not required.
+        """Record that an action is no longer required, and how it ended.
+
+        Nothing happens if it is not required.
 
         Args:
             action: name of the action.
             result: "completed", "failed" or "abandoned".
             reason: why the action ended in this way, in words; subscribers and the history get it.
-            cause: number of the event that led to the end; by default the one that made the action unfeasible, if any.
+            cause: number of the event that led to the end; by default the one that made the action
+                unfeasible, if any.
         """
         node = self._network.actions[action]
         check_result(result)
@@ -530,18 +558,22 @@ class KnowledgeBase:
         dry_run: bool = False,
         cause: int | None = None,
     ) -> ReconfigurationPlan | None:
-        """Select a design for each given function, a configuration for each given component; unselect what is obsolete.
+        """Select a design for each given function, a configuration for each given component.
+
+        Unselect what is obsolete.
 
         Args:
             designs: maps the name of a function to the name of its design.
             configurations: maps the name of a component to the name of its configuration.
-            reason: why these are chosen, in words, if not by priority; it is kept with the selection and with the plan.
+            reason: why these are chosen, in words, if not by priority; it is kept with the
+                selection and with the plan.
             dry_run: only return the plan; nothing is selected, and no event is made.
-            cause: number of the event that led to the selection; by default the latest event that changed one of the
-                functions, components or alternatives.
+            cause: number of the event that led to the selection; by default the latest event that
+                changed one of the functions, components or alternatives.
 
         Returns:
-            The plan that leads from the present state to the selection; None if there is nothing to do.
+            The plan that leads from the present state to the selection; None if there is nothing to
+            do.
 
         Raises:
             InvalidValue: a design or configuration is unfeasible now; nothing is selected.
@@ -594,14 +626,17 @@ class KnowledgeBase:
 
     @_update
     def component_started(self, component: str, pid: int) -> Process:
-        """Record that a process of the operating system was started for a component; it need not be active yet."""
+        """Record that a process of the operating system was started for a component.
+
+        It need not be active yet.
+        """
         name = self._network.components[component].name
         self._record("component_started", (name, whole("a process number", pid, 0)))
         return next(reversed(self._records.processes.values()))
 
     @_update
     def component_ended(self, component: str, pid: int | None = None) -> None:
-        """Record that a process of a component has ended: the one with this number, or all of them without one."""
+        """Record that a process of a component has ended: that of this number, else all of them."""
         if pid is not None:
             whole("a process number", pid, 0)
         name = self._network.components[component].name
@@ -646,10 +681,12 @@ class KnowledgeBase:
 
     @_update
     def finish_attempt(self, attempt: Attempt | int, result: str, reason: str = "") -> bool:
-        """Record the result of a command; returns False if the attempt has ended already or is unknown.
+        """Record the result of a command.
 
-        The attempt may be given by its serial number; the result is "completed", "failed" or "abandoned". When a
-        "configure" command completes, its parameters are in force.
+        Returns False if the attempt has ended already or is unknown.
+
+        The attempt may be given by its serial number; the result is "completed", "failed" or
+        "abandoned". When a "configure" command completes, its parameters are in force.
         """
         if result not in RESULTS:
             check_result(result)
@@ -730,19 +767,27 @@ class KnowledgeBase:
             self._record_due(self._now, verb, node)
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
-        """Call a function with every event from now on, in order; returns a function that ends the subscription.
+        """Call a function with every event from now on, in order.
 
-        The callback runs on a thread that records facts, without the lock, so it may ask and record. An exception
-        in it is logged and goes no further.
+        Returns a function that ends the subscription.
+
+        The callback runs on a thread that records facts, without the lock, so it may ask and
+        record. An exception in it is logged and goes no further.
         """
         return self._publisher.subscribe(callback)
 
     def flush(self, timeout: float | None = None) -> bool:
-        """Wait, at most for a timeout [s], until all events so far are on disk; returns whether they are."""
+        """Wait, at most for a timeout [s], until all events so far are on disk.
+
+        Returns whether they are.
+        """
         return self.store is not None and self.store.flush(timeout)
 
     def close(self) -> None:
-        """Save all events and close the store; you can still ask what is held in memory, but record nothing more."""
+        """Save all events and close the store.
+
+        You can still ask what is held in memory, but record nothing more.
+        """
         if self.store is not None:
             self.store.close()
 
@@ -1050,7 +1095,10 @@ class KnowledgeBase:
 def _chosen(
     parts: Mapping[str, Node], owners: Mapping[str, Node], choice: Mapping[str, str] | None
 ) -> list[Node]:
-    """Return the chosen nodes from a mapping of owner to choice, by name; each choice must be a part of its owner."""
+    """Return the chosen nodes from a mapping of owner to choice, by name.
+
+    Each choice must be a part of its owner.
+    """
     if choice is not None and not isinstance(choice, Mapping):
         raise InvalidValue(
             f"what is selected is given as choice by name of what it is for, not as {choice!r}"

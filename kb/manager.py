@@ -164,7 +164,10 @@ class ConfigurationManager:
         return plan
 
     def _check_veto(self) -> bool:
-        """Ask the veto about new plans, take back the forbidden ones; return whether there was one."""
+        """Ask the veto about new plans, take back the forbidden ones.
+
+        Return whether there was one.
+        """
         kb = self._kb
         is_vetoed = False
         while self._veto is not None:

@@ -13,8 +13,7 @@ can be changed while
 knowledge bases use it: the next question to them sees the change.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -137,7 +136,6 @@ class Model:
         self._facts: list[Fact] = []
         self._observers: list[ref[Observer]] = []
         self._changing = RLock()
-        self._batch: list[Changeable] | None = None
         self.pending: Amended | None = None
         self.notes: list[str] = []
         self.places: dict[Element | Constraint, str] = {}
@@ -166,21 +164,21 @@ class Model:
         """The facts that hold from the start, in the order in which they were added."""
         return tuple(self._facts)
 
-    def quality_attribute(self, name: str, **given: Unpack[Measured]) -> Attribute:
+    def quality_attribute(self, name: str, **options: Unpack[Measured]) -> Attribute:
         """Declare a measured property of the robot itself, e.g. its energy.
 
         Args:
             name: unique among attributes.
-            given: the options of `Measured`, which `kb.elements.Attribute` explains.
+            options: the options of `Measured`, which `kb.elements.Attribute` explains.
         """
-        return self.declare(Attribute, name, kind=AttributeKind.QUALITY, **given)
+        return self.declare(Attribute, name, kind=AttributeKind.QUALITY, **options)
 
-    def environmental_attribute(self, name: str, **given: Unpack[Measured]) -> Attribute:
+    def environmental_attribute(self, name: str, **options: Unpack[Measured]) -> Attribute:
         """Declare a measured property of the surroundings, e.g. the light.
 
         See `quality_attribute`.
         """
-        return self.declare(Attribute, name, kind=AttributeKind.ENVIRONMENTAL, **given)
+        return self.declare(Attribute, name, kind=AttributeKind.ENVIRONMENTAL, **options)
 
     def component(
         self,
@@ -197,13 +195,13 @@ class Model:
 
         One that the manager shall switch is of kind "process" or "lifecycle".
         """
-        given = {
+        options = {
             "kind": kind,
             "always_improve": always_improve,
             "stops_to_configure": stops_to_configure,
         }
         return self.declare(
-            Component, name, constraints, **given, package=package, executable=executable
+            Component, name, constraints, **options, package=package, executable=executable
         )
 
     def function(self, name: str, *, always_improve: bool = False) -> Function:
@@ -237,24 +235,24 @@ class Model:
         name: str,
         constraints: Iterable[Expression] = (),
         /,
-        **given: object,
+        **stated: object,
     ) -> ElementT:
         """Declare an element with its constraints, or nothing if anything is refused.
 
-        `given` holds the fields of the class; other elements in it are given by themselves or by
+        `stated` holds the fields of the class; other elements in it are given by themselves or by
         their names.
         """
         kind = KINDS[cls]
         table = self._tables[cls]
         name = identifier(kind, name)
         checks = CHECKS[cls]
-        for field, value in given.items():
+        for field, value in stated.items():
             if field in checks:
-                given[field] = checks[field].check(field, name, value)
+                stated[field] = checks[field].check(field, name, value)
             else:
-                given[field] = self._referred(cls, name, field, value)
+                stated[field] = self._referred(cls, name, field, value)
         try:
-            element = cls(name, self, **given)
+            element = cls(name, self, **stated)
         except TypeError as error:
             raise ModelError(f"{kind} {name!r} is not complete: {error}") from None
         expressions = self._expressions(constraints)
@@ -264,7 +262,7 @@ class Model:
             raise DuplicateName(
                 f"{kind} {name!r} is declared already; names are unique within a kind"
             )
-        if expressions or self._observers or self._batch is not None:
+        if expressions or self._observers:
             self._declare(element, *[_constraint((element,), each) for each in expressions])  # type: ignore[arg-type]  # constrainable, if any
         else:
             table[name] = element  # a single step, and there is no observer
@@ -313,7 +311,9 @@ class Model:
         """
         self._facts.append(self._checked(fact))
 
-    def state(self, cls: type, values: Mapping[str, Any]) -> Changeable | None:
+    def state(
+        self, cls: type, values: Mapping[str, Any], constraints: Iterable[Expression] = ()
+    ) -> Changeable | None:
         """Declare an element, constraint, estimation or fact of a class by its fields."""
         others = dict(values)
         if cls is Constraint:
@@ -321,7 +321,7 @@ class Model:
         if cls is Estimation:
             return self.add_estimation(**others)
         if issubclass(cls, Element):
-            declared: Element = self.declare(cls, others.pop("name", ""), **others)
+            declared: Element = self.declare(cls, others.pop("name", ""), constraints, **others)
             return declared
         fact: Any = cls(**others)
         self.add_fact(fact)
@@ -417,10 +417,8 @@ class Model:
                 element has.
             fields: the new values. Constraint: `value`, `hysteresis`, `dwell`; design: `priority`;
                 configuration: `priority`, `parameters`; function: `always_improve`; component:
-                    `always_improve`,
-                `stops_to_configure`; attribute: `max_age`, `when_stale`, `agreement`,
-                `forecasting`, `rates`;
-                estimation: `value`, `kind`.
+                `always_improve`, `stops_to_configure`; attribute: `max_age`, `when_stale`,
+                `agreement`, `forecasting`, `rates`; estimation: `value`, `kind`.
         """
         changed: Changeable = self._own("what is changed", element, *_NAMED, Constraint, Estimation)
         kind = KINDS[type(changed)]
@@ -461,7 +459,10 @@ class Model:
             for constraint in self.constraints
             if unwanted in constraint.constrained
         }
-        removed: list[Changeable] = [unwanted, *(one for one, rest in rests.items() if not rest)]
+        removed: list[Changeable] = [
+            unwanted,
+            *(element for element, rest in rests.items() if not rest),
+        ]
         removed += [estimation for estimation in self.estimations if estimation.causer is unwanted]
         facts = [fact for fact in self._facts if not _concerns(fact, removed)]
 
@@ -469,8 +470,8 @@ class Model:
             for constraint, rest in rests.items():
                 if rest:
                     _set(constraint, {"constrained": rest})
-            for one in removed:
-                self._tables[type(one)].pop(_key(one), None)
+            for element in removed:
+                self._tables[type(element)].pop(_key(element), None)
             self._facts = facts
 
         self._amend("removed", removed, put, lambda: _reference(self, unwanted))
@@ -482,10 +483,12 @@ class Model:
         elif how == "changed":
             reference, values = written
             self.change(_referred(self, reference), **values)
+        elif written[0][0] == "constraint":
+            targets = [_referred(self, each) for each in written[0][1]["constrained"]]
+            self.constrain_all(targets, map(_expression, written))
         else:
-            with self.at_once():
-                for row in written:
-                    _declare(self, *row)
+            (words, values), *constraints = written
+            _declare(self, words, values, map(_expression, constraints))
 
     def settle(self) -> None:
         """Complete a change that was interrupted, unless another thread is just making it."""
@@ -573,20 +576,20 @@ class Model:
             values[name] = value
         return replace(fact, **values)
 
-    def _own(self, what: str, given: object, *classes: type) -> Any:  # noqa: ANN401  # of the classes
+    def _own(self, what: str, element: object, *classes: type) -> Any:  # noqa: ANN401  # of the classes
         """Return an element of this model, given by itself or by a name that only one has."""
-        if not isinstance(given, (Element, Constraint, Estimation)):
+        if not isinstance(element, (Element, Constraint, Estimation)):
             tables = {KINDS[cls]: self._tables[cls] for cls in classes if issubclass(cls, Element)}
-            return meant_by(given, tables, what, "give the one meant, e.g. model.")
-        self._of_kind(what, given, classes)
-        if isinstance(given, Element) and given.model is not self:
-            other = given.model.name
-            raise ModelError(f"{given.name!r} belongs to model {other!r}, not to {self.name!r}")
-        if self._tables[type(given)].get(_key(given)) is not given:
-            name = str(given) if isinstance(given, Constraint) else repr(called(given))
-            of = "the estimation of " if isinstance(given, Estimation) else ""
+            return meant_by(element, tables, what, "give the one meant, e.g. model.")
+        self._of_kind(what, element, classes)
+        if isinstance(element, Element) and element.model is not self:
+            other = element.model.name
+            raise ModelError(f"{element.name!r} belongs to model {other!r}, not to {self.name!r}")
+        if self._tables[type(element)].get(_key(element)) is not element:
+            name = str(element) if isinstance(element, Constraint) else repr(called(element))
+            of = "the estimation of " if isinstance(element, Estimation) else ""
             raise ModelError(f"{of}{name} is not in model {self.name!r}, or no longer")
-        return given
+        return element
 
     def _of_kind(self, what: str, element: object, classes: Sequence[type]) -> None:
         if not isinstance(element, tuple(classes)):
@@ -607,37 +610,20 @@ class Model:
             self._own("attribute", expression.attribute, Attribute)
         return expressions
 
-    @contextmanager
-    def at_once(self) -> Iterator[None]:
-        """Make all declarations within the `with` statement one change, or none of them."""
-        batch = self._batch = []
-        try:
-            yield
-            self._batch = None
-            self._declare(*batch)
-        except BaseException:
-            self._batch = None
-            if self.pending is None:
-                for one in batch:
-                    self._tables[type(one)].pop(_key(one), None)
-            raise
-
     def _declare(self, *added: Changeable) -> None:
-        if self._batch is None and (self._observers or len(added) > 1):
-            self._amend(
-                "declared",
-                added,
-                partial(self._enter, added),
-                lambda: [_row(self, element) for element in added],
-            )
+        if not self._observers and len(added) == 1:
+            self._enter(added)
             return
-        if self._batch is not None:
-            self._batch.extend(added)
-        self._enter(added)
+        self._amend(
+            "declared",
+            added,
+            partial(self._enter, added),
+            lambda: [_row(self, element) for element in added],
+        )
 
     def _enter(self, added: Iterable[Changeable]) -> None:
-        for one in added:
-            self._tables[type(one)][_key(one)] = one
+        for element in added:
+            self._tables[type(element)][_key(element)] = element
 
     def _amend(
         self,
@@ -659,28 +645,35 @@ class Model:
             observer.heard()
 
     def _watching(self) -> list[Observer]:
-        return [observer for one in tuple(self._observers) if (observer := one()) is not None]
+        return [observer for each in tuple(self._observers) if (observer := each()) is not None]
 
 
-def _key(one: Changeable) -> object:
-    return one.name if isinstance(one, Element) else one
+def _key(element: Changeable) -> object:
+    return element.name if isinstance(element, Element) else element
 
 
-def _set(one: Changeable, values: Mapping[str, object]) -> None:
+def _set(element: Changeable, values: Mapping[str, object]) -> None:
     for field, value in values.items():
-        object.__setattr__(one, field, value)
+        object.__setattr__(element, field, value)
 
 
-def _constraint(targets: tuple[Constrainable, ...], one: Expression) -> Constraint:
-    return Constraint(one.attribute, one.operator, one.value, targets, one.hysteresis, one.dwell)
+def _constraint(targets: tuple[Constrainable, ...], comparison: Expression) -> Constraint:
+    return Constraint(
+        comparison.attribute,
+        comparison.operator,
+        comparison.value,
+        targets,
+        comparison.hysteresis,
+        comparison.dwell,
+    )
 
 
 def _suffix(file: Path) -> str:
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
-        given = f"in {file.suffix!r}" if file.suffix else "without a suffix"
+        its_own = f"in {file.suffix!r}" if file.suffix else "without a suffix"
         raise ModelFileError(
-            f"the name of a model's file ends in {' or '.join(SUFFIXES)}, this one {given}",
+            f"the name of a model's file ends in {' or '.join(SUFFIXES)}, this one {its_own}",
             str(file),
         )
     return suffix
@@ -775,14 +768,22 @@ def _referred(model: Model, reference: Sequence[Any]) -> Any:  # noqa: ANN401  #
     return list(table.values())[name] if isinstance(name, int) else table[name]
 
 
-def _declare(model: Model, words: str, plain: Mapping[str, Any]) -> Changeable | None:
-    """Declare what a row describes; a fact is no element."""
+def _declare(
+    model: Model, words: str, plain: Mapping[str, Any], constraints: Iterable[Expression] = ()
+) -> None:
+    """Declare what a row describes."""
     values = dict(plain)
     for name in {"constrained", "restores"} & values.keys():
         values[name] = [_referred(model, each) for each in values[name]]
     for name in {"causer", "element"} & values.keys():
         values[name] = _referred(model, values[name])
-    return model.state(_CLASSES[words], values)
+    model.state(_CLASSES[words], values, constraints)
+
+
+def _expression(row: Sequence[Any]) -> Expression:
+    """Return the comparison in the row of a constraint."""
+    _, values = row
+    return Expression(**{name: values[name] for name in values if name != "constrained"})
 
 
 def differences(then: Model, now: Model) -> list[str]:

@@ -1,4 +1,4 @@
-"""The network of a model: one node for each element, linked to the nodes that its status depends on."""
+"""The network of a model: one node for each element, linked to those that its status needs."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
@@ -20,7 +20,8 @@ from kb.elements import (
 from kb.exceptions import InvalidValue, UnknownName
 
 Ref = tuple[str, str] | tuple[str, str, int]
-"""A reference to a node as plain data: (kind, name); for a constraint (kind, name, position) by an element it is on."""
+"""A reference to a node as plain data: (kind, name); for a constraint (kind, name, position) by an
+element it is on."""
 
 _UPWARDS: Final = (
     "constraint",
@@ -91,7 +92,10 @@ class Node:
 
 
 class Network:
-    """One node for each element of a model, found by name within its kind; a constraint by itself."""
+    """One node for each element of a model, found by name within its kind.
+
+    A constraint by itself.
+    """
 
     def __init__(self, model: Owner) -> None:
         self.model = model
@@ -118,7 +122,10 @@ class Network:
             yield from tuple(table.values())
 
     def find(self, element: Element | Constraint) -> Node:
-        """Return the node of an element of this model; UnknownName if it is not, or no longer, in the model."""
+        """Return the node of an element of this model.
+
+        UnknownName if it is not, or no longer, in the model.
+        """
         table = self._tables[type(element)]
         key = element.name if isinstance(element, Element) else element
         node = table.get(key)

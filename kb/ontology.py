@@ -167,16 +167,14 @@ def _lineage(word: str) -> list[str]:
     return [word, *_lineage(_PARENTS[word])] if word else []
 
 
-READ: Final = {
-    **{CLASSES[cls]: (cls, {}) for cls in elements.ROSA},
-    "QualityAttribute": (elements.Attribute, {"kind": "quality"}),
-    "EnvironmentalAttribute": (elements.Attribute, {"kind": "environmental"}),
-    "ProcessComponent": (elements.Component, {"kind": "process"}),
-    "RosNodeComponent": (elements.Component, {"kind": "ros_node"}),
-    "LifecycleComponent": (elements.Component, {"kind": "lifecycle"}),
+_SPECIAL: Final = {
+    "quality": "QualityAttribute",
+    "environmental": "EnvironmentalAttribute",
+    "process": "ProcessComponent",
+    "ros_node": "RosNodeComponent",
+    "lifecycle": "LifecycleComponent",
 }
-"""The dataclass, and a field of it, for each class of individuals in a file."""
-_SPECIAL: Final = {kinds["kind"]: word for word, (_, kinds) in READ.items() if kinds}
+"""The class of individuals for a kind of attribute or component."""
 
 
 def declare_words(ontology: Any) -> None:  # noqa: ANN401  # of owlready2
@@ -406,16 +404,24 @@ class _Reader:
 
     def declare(self, model: elements.Owner) -> None:
         """Declare elements by class and position, then facts by position."""
-        kinds = {thing: READ[word] for word in READ for thing in self._rosa[word].instances()}
+        classes: dict[str, tuple[type, dict[str, str]]] = {
+            CLASSES[cls]: (cls, {}) for cls in elements.ROSA
+        }
+        for kind, word in _SPECIAL.items():
+            general = elements.Attribute if "Attribute" in word else elements.Component
+            classes[word] = (general, {"kind": kind})
+        kinds = {
+            thing: each for word, each in classes.items() for thing in self._rosa[word].instances()
+        }
         ranks = {cls: rank for rank, cls in enumerate(elements.KINDS)}
         ordered: list[tuple[int, Any, str, Any]] = []
         for thing, (cls, _) in kinds.items():
             position = self._rosa.position[thing] or [0]
             ordered.append((ranks.get(cls, len(ranks)), position, thing.iri, thing))
         for *_, iri, thing in sorted(ordered):
-            cls, kind = kinds[thing]
+            cls, stated = kinds[thing]
             try:
-                self._elements[thing] = model.state(cls, self._fields(thing, cls) | kind)
+                self._elements[thing] = model.state(cls, self._fields(thing, cls) | stated)
             except (LookupError, TypeError, ValueError) as error:
                 raise ModelError(f"{iri}: {error}") from None
 

@@ -11,7 +11,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 from kb.elements import ComponentKind, Parameters
@@ -31,7 +31,6 @@ class Program:
     Attributes:
         arguments: the executable and its arguments; no shell reads them. `{name}` stands for the
             parameter of that name.
-        environment: variables in addition to those of this process.
         grace_s: how long it may take to end after SIGTERM [s]; then it is killed.
         configure: called with new parameters while it runs, may return an operation; without it,
             new parameters count from the next start on.
@@ -39,7 +38,6 @@ class Program:
     """
 
     arguments: Sequence[str]
-    environment: Mapping[str, str] = field(default_factory=dict)
     grace_s: float = 5.0
     configure: Callable[[Parameters], Operation | None] | None = None
     is_ros_node: bool = False
@@ -72,14 +70,12 @@ class Program:
         return command
 
 
-def ros_node(
-    package: str, executable: str, name: str = "", environment: Mapping[str, str] | None = None
-) -> Program:
+def ros_node(package: str, executable: str, name: str = "") -> Program:
     """Return the program `ros2 run package executable`; a name renames the node."""
     arguments = ["ros2", "run", package, executable, "--ros-args"]
     if name:
         arguments += ["-r", f"__node:={name}"]
-    return Program(arguments, environment or {}, is_ros_node=True)
+    return Program(arguments, is_ros_node=True)
 
 
 def ros_node_programs(components: Iterable[ComponentView]) -> dict[str, Program]:
@@ -157,7 +153,7 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
             if not isinstance(program, Program):
                 raise InvalidValue(f"component {name!r} is run as a kb.Program, not as {program!r}")
             executable = program.arguments[0]
-            if shutil.which(executable, path=program.environment.get("PATH")) is None:
+            if shutil.which(executable) is None:
                 raise InvalidValue(
                     f"component {name!r} cannot be run: there is no executable {executable!r}; "
                     "install it, correct the path, or chmod +x it"
@@ -181,11 +177,8 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
             self._ended.append((component, process))
         parameters = self._parameters.get(component, {})
         command = program.command(parameters)
-        environment = {**os.environ, **program.environment}
         try:
-            popen = subprocess.Popen(
-                command, env=environment, stdin=subprocess.DEVNULL, start_new_session=True
-            )
+            popen = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
         except OSError as error:
             raise KnowledgeBaseError(
                 f"{command[0]!r} cannot be run: {error.strerror}; if it is a script, see "

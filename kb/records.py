@@ -1,4 +1,4 @@
-"""The records: requested actions, reconfiguration plans, processes, attempts, and vetoes of plans."""
+"""The log, and the records: requested actions, plans, processes, attempts and vetoes."""
 
 import copyreg
 import math
@@ -42,12 +42,14 @@ class Reply(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RequiredAction:
-    """An action that a mission requested, from when, and how it ended; only the knowledge base can end it.
+    """An action that a mission requested, from when, and how it ended.
+
+    Only the knowledge base can end it.
 
     Attributes:
         action: name of the action.
-        preference: name of the attribute to favour when a configuration is chosen for it, or a mapping from names of
-            attributes to weights, or None.
+        preference: name of the attribute to favour when a configuration is chosen for it, or a
+            mapping from names of attributes to weights, or None.
         start: when it was requested [s].
         end: when it ended [s], None while it is open.
         result: "completed", "failed" or "abandoned", None while it is open.
@@ -71,7 +73,9 @@ class RequiredAction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReconfigurationPlan:
-    """Which components to switch and configure, and the result; only the knowledge base that made a plan can end it.
+    """Which components to switch and configure, and the result.
+
+    Only the knowledge base that made a plan can end it.
 
     Attributes:
         activate: names of components to activate.
@@ -81,7 +85,8 @@ class ReconfigurationPlan:
         start: when it was made [s].
         end: when it ended [s], None while it is open.
         result: "completed", "failed" or "abandoned", None while it is open.
-        plain: the components among these that are not commanded: they are only noted as active or inactive.
+        plain: the components among these that are not commanded: they are only noted as active or
+            inactive.
         cause: number of the event that made it necessary, None if that is not known.
         number: 1 for the first plan of a knowledge base.
     """
@@ -124,7 +129,9 @@ class ReconfigurationPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Process:
-    """A process of the operating system in which a component ran or runs; only the knowledge base can end the record.
+    """A process of the operating system in which a component ran or runs.
+
+    Only the knowledge base can end the record.
 
     Attributes:
         component: name of the component.
@@ -253,7 +260,9 @@ class Log:
 
 
 class Records:
-    """All records by number, in order. `apply` only assigns, so that it can be repeated after an interrupt.
+    """All records by number, in order.
+
+    `apply` only assigns, so that it can be repeated after an interrupt.
 
     Attributes:
         requests: requested actions by number of the event.
@@ -445,7 +454,7 @@ class HistoryView:
 
     @property
     def progress(self) -> Mapping[tuple[str, str], str]:
-        """The progress of interrupted actions, by action and behaviour, as the task layer has saved it."""
+        """The progress of interrupted actions as the task layer saved it, by action and behaviour."""
         with self._reading():
             return {key: saved for key, saved in self._records.progress.items() if saved}
 

@@ -1,6 +1,7 @@
 """The questions that a knowledge base answers, for what is known and for "what if".
 
-Each question is a function, and a method of both `KnowledgeBase` and `Situation`: a situation answers as the base would
+Each question is a function, and a method of both `KnowledgeBase` and `Situation`: a situation
+    answers as the base would
 if some facts were different. No question changes anything.
 """
 
@@ -33,7 +34,8 @@ ELEMENTS: Final = (
 _EXPLAINED: Final = (*ELEMENTS, "attribute")
 
 ElementLike = ElementView | Element | Constraint | Ref | str
-"""An element may be given as a view of it, as itself, as what stands for it in events, or by its name."""
+"""An element may be given as a view of it, as itself, as what stands for it in events, or by its
+name."""
 
 
 def is_feasible(base: Readable, action: str) -> bool:
@@ -61,7 +63,10 @@ def selectable_configurations(base: Readable, component: str) -> tuple[str, ...]
 
 
 def best_configuration(base: Readable, action: str) -> Choice | None:
-    """Return what comes first by priority for an action by itself, required or not; None while it is unfeasible."""
+    """Return what comes first by priority for an action by itself, required or not.
+
+    None while it is unfeasible.
+    """
     with base.reading() as state:
         node = state.network.actions[action]
         if state.status[node] is Status.UNFEASIBLE:
@@ -84,8 +89,8 @@ def adaptable_components(
 ) -> tuple[str, ...]:
     """Names of the components for which a configuration has to be chosen, or may be chosen better.
 
-    With designs just chosen, by name or by function, the answer is what it will be once they are selected and what is
-    obsolete is not.
+    With designs just chosen, by name or by function, the answer is what it will be once they are
+    selected and what is obsolete is not.
     """
     names = listed("designs", designs.values() if isinstance(designs, Mapping) else designs)
     with base.reading() as state:
@@ -104,8 +109,9 @@ def obsolete(base: Readable) -> Obsolete:
 def explain(base: Readable, element: ElementLike) -> explanation.Explanation:
     """Say why an element has the status that it has, and what would make it feasible if it is not.
 
-    A name that several kinds share means the action before the function, component, design, configuration and
-    attribute. Of an attribute it is said what is known of it, and what depends on it.
+    A name that several kinds share means the action before the function, component, design,
+    configuration and attribute. Of an attribute it is said what is known of it, and what depends on
+    it.
     """
     now = base.now
     with base.reading() as state:
@@ -113,14 +119,17 @@ def explain(base: Readable, element: ElementLike) -> explanation.Explanation:
 
 
 def why(base: Readable, element: ElementLike) -> str:
-    """Say in a sentence why an element has its status; quicker than `explain`, for it looks for no remedies."""
+    """Say in a sentence why an element has its status.
+
+    Quicker than `explain`, for it looks for no remedies.
+    """
     now = base.now
     with base.reading() as state:
         return explanation.why(state, resolve(base, state, element, _EXPLAINED), now)
 
 
 def explain_choice(base: Readable, element: ElementLike) -> explanation.ChoiceExplanation:
-    """Say why a function has the design, or a component the configuration, that it has, and not another one.
+    """Say why a function has this design, or a component this configuration, and no other.
 
     Of a name that both kinds share the function is meant.
     """
@@ -176,7 +185,10 @@ def resolve(
 def preferred(
     network: Network, given: str | Mapping[str, float] | None
 ) -> str | Mapping[str, float] | None:
-    """Return a preference as the name of an attribute, or finite weights by name; any other is refused."""
+    """Return a preference as the name of an attribute, or finite weights by name.
+
+    Any other is refused.
+    """
     if given is None or not isinstance(given, Mapping):
         return None if given is None else network.attributes[given].name
     weights = {network.attributes[name].name: finite_number(one) for name, one in given.items()}
@@ -202,16 +214,21 @@ def situation(
     at: float | None = None,
     **attributes: float | None,
 ) -> "Situation":
-    """Return a situation, "what if": a copy in which some facts differ. It answers the same questions.
+    """Return a situation, "what if": a copy in which some facts differ.
+
+    It answers the same questions.
 
     Args:
-        base: what the situation starts from; what is supposed here overrides what is known or supposed there.
-        measured: values by name of attribute, for names that are no Python names; None is "not measured".
+        base: what the situation starts from; what is supposed here overrides what is known or
+            supposed there.
+        measured: values by name of attribute, for names that are no Python names; None is "not
+            measured".
         failed: names of components supposed to have failed.
         recovered: names of components supposed not to have.
         requested: names of actions supposed to be required, even if they are unfeasible.
-        at: a time from now on [s, by the clock]. Attributes are forecast for it, as if all actions that are required,
-            or supposed to be, were done until then. A forecast only adds caution: what is violated now stays violated,
+        at: a time from now on [s, by the clock]. Attributes are forecast for it, as if all actions
+            that are required, or supposed to be, were done until then. A forecast only adds
+                caution: what is violated now stays violated,
             and what the worse end of a forecast's interval violates is violated then.
         attributes: values by name of attribute, e.g. `light=0.3`.
     """
@@ -307,7 +324,10 @@ def _names(what: str, names: Iterable[str]) -> tuple[str, ...]:
 
 
 def number(refusal: str, value: object, attribute: Node) -> float:
-    """Return a value as a number in the attribute's range; `refusal` begins the message of the error otherwise."""
+    """Return a value as a number in the attribute's range.
+
+    `refusal` begins the message of the error otherwise.
+    """
     try:
         return attribute.attribute.checked(value)
     except InvalidValue as error:

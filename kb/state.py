@@ -374,7 +374,7 @@ class State:
     # ---------------------------------------------------------------- time
 
     def due(self, now: float) -> tuple[float, str, Node] | None:
-        """Return what time has caused until now [s], the first of it: when, the verb, and of what."""
+        """Return what time has caused first until now [s]: when, the verb, and of what."""
         while now >= self.next_due:
             dues = [(time, node.index, what, node) for (what, node), time in self._due.items()]
             self.next_due, _, what, node = min(dues, default=(NEVER, 0, "", None))
@@ -443,13 +443,15 @@ class State:
 
     def infer(self) -> None:
         """Infer what is outdated. A node stays outdated until all that follows is stored."""
+        lowest = self._outdated[0]  # constraints
         for level in self._outdated:
             while level:
                 node = next(iter(level))
                 new = self._infer(node)
                 old = self.status.get(node)
                 if new is not old:
-                    self.before.setdefault(node, old or unset_status(node))
+                    unset = Status.NOT_EVALUATED if level is lowest else Status.FEASIBLE
+                    self.before.setdefault(node, old or unset)
                     for user in node.used_by:
                         self._outdated[user.level].add(user)
                     self.status[node] = new
@@ -518,6 +520,7 @@ class State:
         for node in changed:
             self._restart(node, now)
         self._revision = self.network.revision
+        self._outdated = [set() for _ in LEVELS]
         self.touch(self.network.present())
         self.infer()
 
@@ -595,11 +598,6 @@ def _is_adaptable(node: Node, status: Status) -> bool:
     if status is Status.SOLVED:
         return bool(node.element.always_improve)
     return status in (Status.UNSOLVED, Status.CONFIGURATION_ERROR)
-
-
-def unset_status(node: Node) -> Status:
-    """Return the status of an element while nothing is known about it."""
-    return Status.NOT_EVALUATED if node.kind == "constraint" else Status.FEASIBLE
 
 
 def in_order(nodes: Iterable[Node]) -> list[Node]:

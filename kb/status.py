@@ -1,8 +1,10 @@
-"""The six status tables: pure functions that give the status of an element from the statuses it depends on.
+"""The six status tables: pure functions that give a status from those that it depends on.
 
-Each function is one table: the first line from the top that holds gives the status, so every element has exactly
+Each function is one table: the first line from the top that holds gives the status, so every
+    element has exactly
 one. `inference` decides when a table is consulted again; nothing else decides a status.
-The conceptual model is that of ROSA (Silva et al., "ROSA: a knowledge-based solution for robot self-adaptation").
+The conceptual model is that of ROSA (Silva et al., "ROSA: a knowledge-based solution for robot
+self-adaptation").
 """
 
 import operator
@@ -39,7 +41,10 @@ STATUSES: Mapping[str, tuple[Status, ...]] = {
         "configuration": "unfeasible, feasible",
         "component": "failure, unfeasible, configuration error, unsolved, solved, feasible",
         "function design": "unfeasible, implicit configuration error, unsolved, solved, feasible",
-        "function": "unfeasible, configuration error, implicit configuration error, solved, unsolved, feasible",
+        "function": (
+            "unfeasible, configuration error, implicit configuration error, "
+            "solved, unsolved, feasible"
+        ),
         "action": "unfeasible, implicit configuration error, unsolved, solved, feasible",
     }.items()
 }
@@ -65,7 +70,7 @@ Statuses = Sequence[Status]
 
 
 def constraint_status(measured: float | None, relation: str, threshold: float) -> Status:
-    """Status of a constraint: whether `measured (relation) threshold` holds for the latest measurement, if any."""
+    """Status of a constraint: whether `measured (relation) threshold` holds, if measured."""
     if measured is None:
         return NOT_EVALUATED
     return SATISFIED if OPERATORS[relation](measured, threshold) else VIOLATED
@@ -84,7 +89,7 @@ def component_status(
     required: bool,
     active: bool,
 ) -> Status:
-    """Status of a component, from its own constraints, all its configurations and the selected ones."""
+    """Status of a component, from its constraints, its configurations and the selected ones."""
     if failed:
         return FAILURE
     if VIOLATED in constraints or 0 < len(configurations) == configurations.count(UNFEASIBLE):

@@ -132,7 +132,7 @@ class Store:
         if self._is_stopping:
             raise KnowledgeBaseError(
                 "this knowledge base is closed: its store is given back, so nothing more can be "
-                "recorded. Record before you close it, or make a new one of the same model and store"
+                "recorded. Record before you close it, or make a new one of this model and store"
             )
 
     # ---------------------------------------------------------------- write

@@ -1,4 +1,4 @@
-"""Read-only views of the elements of a knowledge base: what the model declares, and what is known now.
+"""Read-only views of the elements of a knowledge base: what is declared, and what is known.
 
 A view reads from its knowledge base each time it is asked; nothing can be changed through it.
 """
@@ -85,7 +85,10 @@ class Known(Generic[T]):
 
 
 class Declared(Generic[T]):
-    """A property that reads the field of the same name of the model's element; see its class in `kb.elements`."""
+    """A property that reads the field of the same name of the model's element.
+
+    See its class in `kb.elements`.
+    """
 
     def __set_name__(self, _: type, name: str) -> None:
         self._field = name
@@ -104,7 +107,7 @@ class Parts:
 
 
 class ConstraintView(ElementView):
-    """A constraint: `attribute operator value`, where the value is the threshold in the attribute's unit."""
+    """A constraint: `attribute operator value`; the value is in the attribute's unit."""
 
     __slots__ = ()
 
@@ -136,7 +139,10 @@ class ActionView(_StatusView):
 
 
 class FunctionView(_StatusView):
-    """A function and whether it is realised now; a function is required while a required action needs it."""
+    """A function and whether it is realised now.
+
+    A function is required while a required action needs it.
+    """
 
     __slots__ = ()
 
@@ -180,13 +186,16 @@ class _SelectableView(_StatusView):
 
     @property
     def reason(self) -> str:
-        """The reason that was given with its selection; empty without a reason, or if it is not selected."""
+        """The reason that was given with its selection.
+
+        Empty without a reason, or if it is not selected.
+        """
         with self.base.reading() as state:
             return state.reason("selected", self.node).text if self.node in state.selected else ""
 
 
 class DesignView(_SelectableView):
-    """A function design, one set of components that realises a function, and whether it is selected."""
+    """A function design, a set of components that realises a function; maybe selected."""
 
     __slots__ = ()
 
@@ -204,7 +213,7 @@ class ConfigurationView(_SelectableView):
 
 
 class AttributeView(ElementView):
-    """A measured attribute: its latest value and the time of that [s], both None before the first, and its history.
+    """A measured attribute: its latest value and time [s], None before the first; its history.
 
     It is stale when the latest measurement is older than `max_age` [s].
     """
@@ -232,7 +241,10 @@ ViewT = TypeVar("ViewT", bound=ElementView)
 
 
 class Views(Mapping[str, ViewT]):
-    """Views of all elements of one kind by name, in order of declaration; an unknown name raises UnknownName."""
+    """Views of all elements of one kind by name, in order of declaration.
+
+    An unknown name raises UnknownName.
+    """
 
     def __init__(self, base: Readable, nodes: Mapping[str, Node], view: type[ViewT]) -> None:
         self._base, self._table, self._view = base, nodes, view

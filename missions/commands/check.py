@@ -12,7 +12,7 @@ from rich.markup import escape
 from typer import Argument, Exit, Option, echo
 
 from kb import KnowledgeBase, Model
-from kb.checks import Finding, found, rules
+from kb.checks import Finding, finding_of, rules
 from kb.files import read_text
 from missions.commands import FAILED, Text, Texts, complain, open_console, tree_builder
 from missions.engine.mission import Mission, MissionError, Percepts, built, find_mission
@@ -106,7 +106,7 @@ def judge(
         names = [repr(element.removeprefix("action ")) for element in unmentioned]
         for note in mission_domain(mission).check(KnowledgeBase(model)):
             if not any(name in note for name in names):  # else another finding says it
-                findings.append(found("file-note", f"mission {mission.name}", note))
+                findings.append(finding_of("file-note", f"mission {mission.name}", note))
     return [*of_model, *findings]
 
 
@@ -129,7 +129,7 @@ def _judge_tree(
         name = _action(action)
         problem = f"goes on with {name} when that is unfeasible"
         place = f"behaviour {action.name!r} of {title}"
-        yield found("unguarded-action", f"action {name}", f"{place} {problem}")
+        yield finding_of("unguarded-action", f"action {name}", f"{place} {problem}")
 
 
 def _action(behaviour: IsActionFeasible | RosaAction) -> str:

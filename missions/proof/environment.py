@@ -9,9 +9,9 @@ elements, and of components that the model does not tell apart, only the first c
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
-from itertools import combinations, pairwise
+from itertools import pairwise
 from math import inf
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from py_trees.behaviour import Behaviour
 
@@ -93,6 +93,7 @@ class Environment:
 
     Attributes:
         values: by attribute that changes, one value for each difference.
+        read: the attributes that the tree compares by itself.
         alike: the components that can fail, in groups that the model does not tell apart.
         worst: by attribute, the value that violates most.
     """
@@ -100,11 +101,11 @@ class Environment:
     def __init__(self, kb: KnowledgeBase, leaves: Iterable[Behaviour], setup: Setup) -> None:
         self._setup = setup
         self._compared = _comparisons(kb)
-        self._read: set[str] = set()
+        self.read: set[str] = set()
         for leaf in leaves:
             if isinstance(leaf, Measurement):
                 self._compared[leaf.attribute.name].append((leaf, leaf.operator, leaf.value))
-                self._read.add(leaf.attribute.name)
+                self.read.add(leaf.attribute.name)
         attributes = kb.model.attributes
         ageing = {name for name in kb.attributes if attributes[name].max_age != inf}
         self.values: dict[str, tuple[float, ...]] = {}
@@ -114,7 +115,7 @@ class Environment:
                 values = self._distinct(attributes[name])
                 signatures = frozenset(self.signature(name, value) for value in values)
                 is_one_bit = len(signatures) == 2 and frozenset() in signatures
-                if not setup.symmetric or not is_one_bit or name in self._read | ageing:
+                if not setup.symmetric or not is_one_bit or name in self.read | ageing:
                     self.values[name] = values
                 elif signatures not in seen:
                     seen.add(signatures)
@@ -130,7 +131,7 @@ class Environment:
     def signature(self, name: str, value: Value) -> Signature:
         """Return what a value of an attribute violates; what is not measured violates nothing."""
         if not isinstance(value, float):
-            return frozenset({value} if value == STALE or name in self._read else ())
+            return frozenset({value} if value == STALE or name in self.read else ())
         compared = self._compared[name]
         return frozenset(who for who, how, limit in compared if not OPERATORS[how](value, limit))
 
@@ -138,40 +139,24 @@ class Environment:
         """Return a function that counts what a value of an attribute violates."""
         return lambda value: len(self.signature(name, value))
 
-    def representative(self, name: str, value: Value) -> Value:
-        """Return the value that stands for all with the same signature.
-
-        For a new one, the value itself.
-        """
-        signature = self.signature(name, value)
-        alike = (each for each in self.values[name] if self.signature(name, each) == signature)
-        return next(alike, value)
-
-    def best(self, name: str) -> float | None:
-        """Return a value that violates nothing, if nobody but the model looks at the attribute."""
-        fitting = (value for value in self.values[name] if not self.signature(name, value))
-        return None if name in self._read else next(fitting, None)
-
     def changes(self, facts: Facts) -> Iterator[tuple[tuple[Change, ...], Facts]]:
-        """Yield the sets of changes that can happen next, and the facts after each."""
-        single = []
-        for name, present in facts.values:
-            single += [Change(name, value) for value in self.values[name] if value != present]
+        """Yield what can happen next, beginning with nothing, and the facts after it."""
+        yield (), facts
+        for place, (name, present) in enumerate(facts.values):
+            options: list[Any] = [value for value in self.values[name] if value != present]
             if name in self.ageing and present not in (None, STALE):
-                single.append(Change(name, STALE))
+                options.append(STALE)
+            for value in options:
+                values = [*facts.values]
+                values[place] = (name, value)
+                yield (Change(name, value),), facts._replace(values=tuple(values))
         for group in self.alike:
             down = [name for name in group if name in facts.failed]
             up = [name for name in group if name not in facts.failed]
-            single += [Change(name, False) for name in down[-1:]]
-            single += [Change(name, True) for name in up[:1]]
-        for count in range(self._setup.at_once + 1):
-            for chosen in combinations(single, count):
-                to = dict(chosen)
-                failed = {name for name in facts.failed if to.get(name) is not False}
-                failed |= {name for name in to if to[name] is True}
-                if len(to) == count and len(failed) <= max(self._setup.failures, len(facts.failed)):
-                    values = tuple((name, to.get(name, value)) for name, value in facts.values)
-                    yield chosen, facts._replace(values=values, failed=frozenset(failed))
+            if down:
+                yield (Change(down[-1], False),), facts._replace(failed=facts.failed - {down[-1]})
+            if up and len(facts.failed) < self._setup.failures:
+                yield (Change(up[0], True),), facts._replace(failed=facts.failed | {up[0]})
 
     def _distinct(self, attribute: Attribute) -> tuple[float, ...]:
         """Return values of an attribute, one for each possible signature."""

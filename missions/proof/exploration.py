@@ -41,7 +41,6 @@ class Seen(NamedTuple):
         running: the actions of behaviours that run.
         stage: where the sequences with memory have got to.
         has_succeeded: whether the root has.
-        is_over: whether the root has ended for good.
     """
 
     required: tuple[str, ...]
@@ -50,7 +49,6 @@ class Seen(NamedTuple):
     running: frozenset[str]
     stage: tuple[str, ...]
     has_succeeded: bool
-    is_over: bool
 
 
 class Round(NamedTuple):
@@ -72,8 +70,7 @@ class Exploration:
     Attributes:
         rig: the parts of the mission; `load` puts them into a situation.
         situations: by number; 0 is the initial one, and those that fewer rounds lead to come first.
-        rounds: by number of the situation, all that may follow it; shorter than `situations` until
-            it is finished.
+        rounds: by number of the situation, all that may follow it; empty until it is explored.
         seen: by number, what properties look at.
         occurring: what was ever selected or required, as kind and name.
         faults: of the manager, in words, each with the fewest rounds that lead there.
@@ -98,6 +95,7 @@ class Exploration:
         self._requesters = requests.requesters
         kept = [requests.requesters, requests.halting, requests.progress]
         self._memory = Memory([rig.root, Blackboard.storage, *kept])
+        self._count = 0
         self._reached_by: list[tuple[int, Step]] = []
         self._numbers: dict[Situation, int] = {}
         self._settled: dict[Facts, Facts] = {}
@@ -114,7 +112,8 @@ class Exploration:
             while not self.is_finished and len(self.situations) < self.rig.setup.most:
                 if time.perf_counter() > begun + self.rig.setup.seconds:
                     break
-                self.rounds.append(list(self._onward(len(self.rounds))))
+                self.rounds[self._count] = list(self._onward(self._count))
+                self._count += 1
         except KeyboardInterrupt:
             pass
         self.seconds = time.perf_counter() - begun
@@ -123,12 +122,12 @@ class Exploration:
     @property
     def is_finished(self) -> bool:
         """Whether all situations were explored from."""
-        return len(self.rounds) == len(self.situations)
+        return self._count == len(self.situations)
 
     @property
     def unexplored(self) -> range:
         """The numbers of the situations that were not explored from yet."""
-        return range(len(self.rounds), len(self.situations))
+        return range(self._count, len(self.situations))
 
     @property
     def every(self) -> range:
@@ -169,15 +168,11 @@ class Exploration:
         reached = [0]
         seen = {0}
         for number in reached:
-            for each in self.following(number):
+            for each in self.rounds[number]:
                 if each.is_caused and each.after not in seen:
                     seen.add(each.after)
                     reached.append(each.after)
         return reached
-
-    def following(self, number: int) -> list[Round]:
-        """Return the rounds that may follow a situation."""
-        return self.rounds[number] if number < len(self.rounds) else []
 
     def first(self, bad: Iterable[int], what: str) -> Wrong | None:
         """Return what is wrong in these situations, with the rounds to the nearest of them.
@@ -197,7 +192,7 @@ class Exploration:
         inside = self.every if within is None else within
         before: defaultdict[int, list[int]] = defaultdict(list)
         for number in inside:
-            for each in self.following(number):
+            for each in self.rounds[number]:
                 if each.is_caused and each.after in inside and not (still and each.step.changes):
                     before[each.after].append(number)
         reached = set(goals)
@@ -208,9 +203,11 @@ class Exploration:
             pending += new
         return reached
 
-    def load(self, number: int) -> Rig:
+    def load(self, situation: Situation) -> Rig:
         """Put the parts of the mission into a situation and return them."""
-        self._put(self.situations[number])
+        self.rig.write(situation.facts)
+        self._memory.write(situation.tree)
+        self.rig.deeds = situation.deeds
         return self.rig
 
     def path(self, number: int) -> list[Step]:
@@ -228,7 +225,7 @@ class Exploration:
         """
         situation = self.situations[number]
         seen: set[Facts] = set()
-        if self.seen[number].is_over:
+        if self.seen[number].has_succeeded:
             return
         for changes, changed in list(self.rig.environment.changes(situation.facts)):
             facts = self._settle(changed, number, Step(changes))
@@ -247,7 +244,7 @@ class Exploration:
         rig = self.rig
         scripts: list[tuple[Answer, ...]] = [()]
         while scripts:
-            self._put(moment)
+            self.load(moment)
             late = rig.unfeasible
             self.occurring |= {*moment.facts.selected, *(("action", name) for name in rig.required)}
             rig.tick(scripts.pop())
@@ -258,11 +255,6 @@ class Exploration:
             self.transitions += 1
             after = self._number(Situation(tree, facts, rig.deeds), number, step)
             yield Round(step, late, after, rig.is_caused)
-
-    def _put(self, situation: Situation) -> None:
-        self.rig.write(situation.facts)
-        self._memory.write(situation.tree)
-        self.rig.deeds = situation.deeds
 
     def _read_tree(self) -> bytes:
         for action in [action for action, requests in self._requesters.items() if not requests]:
@@ -286,16 +278,16 @@ class Exploration:
         if number < len(self.situations):
             return number
         self.situations.append(situation)
+        self.rounds.append([])
         self._reached_by.append((before, step))
-        rig = self.load(number)
+        rig = self.load(situation)
         running = [node for node in rig.nodes if node.status is Status.RUNNING]
         steps = [each for each in running if isinstance(each, SequenceNode) and each.memory]
         stage = tuple(each.current_child.name for each in steps if each.current_child)
         feasible = frozenset(name for name in rig.kb.actions if rig.kb.is_feasible(name))
         has_succeeded = rig.root.status is Status.SUCCESS
-        is_over = has_succeeded or bool(getattr(rig.root, "final_status", None))  # of a OneShot
         self.seen.append(
-            Seen(rig.required, rig.unfeasible, feasible, rig.running, stage, has_succeeded, is_over)
+            Seen(rig.required, rig.unfeasible, feasible, rig.running, stage, has_succeeded)
         )
         self.occurring |= {*situation.facts.selected, *(("action", name) for name in rig.required)}
         for predicate in self._predicates:

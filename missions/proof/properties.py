@@ -7,7 +7,6 @@ from typing import Final, NamedTuple
 from py_trees.behaviour import Behaviour
 from py_trees.composites import Sequence as SequenceNode
 
-from kb.elements import AttributeKind
 from missions.proof.environment import STALE
 from missions.proof.exploration import Exploration, Round, Wrong
 from missions.proof.rig import Step, acting
@@ -137,7 +136,7 @@ def _ends_without(explored: Exploration) -> Wrong | None:
 
 def _stuck(explored: Exploration) -> Wrong | None:
     """Find a situation without an end while facts stay, though its stage has an end."""
-    ended = {number for number, seen in enumerate(explored.seen) if seen.is_over}
+    ended = {number for number, seen in enumerate(explored.seen) if seen.has_succeeded}
     good = explored.reaching(ended.union(explored.goals, explored.unexplored), still=True)
     here = [
         (seen.stage, each.deeds, each.facts.failed, each.facts.values)
@@ -153,7 +152,7 @@ def _stuck(explored: Exploration) -> Wrong | None:
 
 def _dead(explored: Exploration) -> Wrong | None:
     """Find a situation in which nothing is required until the robot itself acts."""
-    active = {n for n, seen in enumerate(explored.seen) if seen.required or seen.is_over}
+    active = {n for n, seen in enumerate(explored.seen) if seen.required or seen.has_succeeded}
     alive = explored.reaching(active.union(explored.unexplored), still=True)
     for number, seen in enumerate(explored.seen):
         able = sorted(_able(explored, seen.feasible))
@@ -183,14 +182,10 @@ def _waits(explored: Exploration, number: int, alive: set[int]) -> bool:
     values = dict(explored.situations[number].facts.values).values()
     if None in values or STALE in values:
         return True
-    by_itself = set()
-    for name, attribute in explored.rig.kb.model.attributes.items():
-        is_outside = attribute.kind is AttributeKind.ENVIRONMENTAL
-        if is_outside or any(not rate.while_ for rate in attribute.rates):
-            by_itself.add(name)
-    for each in explored.following(number):
+    rig = explored.rig
+    for each in explored.rounds[number]:
         changes = each.step.changes
-        is_outside = all(change.to is False or change.name in by_itself for change in changes)
+        is_outside = all(to is False or not rig.is_kept(name) for name, to in changes)
         if changes and is_outside and each.after in alive:
             return True
     return False

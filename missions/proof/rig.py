@@ -7,6 +7,7 @@ is the manager.
 """
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any, Final, NamedTuple
@@ -101,7 +102,7 @@ class Rig(VisitorBase):
         self.requesting: list[Behaviour] = []
         self.deeds: frozenset[str] = frozenset()
         self.is_caused = True
-        self._needed: dict[Behaviour, frozenset[str]] = {}
+        self._asked: frozenset[str] = frozenset()
         names = dict.fromkeys(leaf.name for leaf in leaves)
         for name in setup.leaves:
             if name not in names:
@@ -115,7 +116,6 @@ class Rig(VisitorBase):
                 continue
             self.letters[node.name] = "RS"
             vars(node)["is_over"] = partial(self._is_over, node)
-        self._asked = frozenset().union(*self._needed.values())
         self._facts: tuple[int, Facts] | None = None
 
     def run(self, behaviour: Behaviour) -> None:
@@ -128,9 +128,9 @@ class Rig(VisitorBase):
         if not says.answers:
             return
         self.letters[leaf.name] = says.answers
-        self._needed[leaf] = frozenset(says.after)
         if isinstance(leaf, Condition) and not says.after:
-            self._needed[leaf] = self.setup.causes.needed(leaf, self.kb, senses)
+            says = replace(says, after=self.setup.causes.needed(leaf, self.kb, senses))
+        self._asked |= {*says.after}
         if _requests(leaf):
             self.requesting.append(leaf)
             vars(leaf)["update"] = partial(self._answer, leaf, says, leaf.update)
@@ -153,20 +153,17 @@ class Rig(VisitorBase):
             return Leaf("FS")
         if not isinstance(leaf, RosaAction):
             return Leaf()
-        changed = self._restored(leaf.action)
-        for action in self.setup.causes.enables.get(leaf.action, ()):
-            changed |= {limit.attribute for limit in self.kb.actions[action].constraints}
-        environment = self.environment
+        values = self.environment.values
         met = {
-            name: min(environment.values[name], key=environment.violated(name))
-            for name in environment.values
-            if name in changed
+            name: min(values[name], key=self.environment.violated(name))
+            for name in self._restored(leaf.action)
         }
         return Leaf(effects={"S": met} if met else {})
 
     def _restored(self, action: str) -> set[str]:
-        """Return the attributes that an action restores, as the model says."""
-        return {element.name for element in self.kb.model.actions[action].restores}
+        """Return the attributes that change which an action restores, as the model says."""
+        restores = self.kb.model.actions[action].restores
+        return {element.name for element in restores} & self.environment.values.keys()
 
     def _answer(self, leaf: Behaviour, says: Leaf, own: Callable[[], object] | None) -> Status:
         if own is not None:
@@ -174,8 +171,8 @@ class Rig(VisitorBase):
         letter = self._choose(leaf, says.answers)
         action = getattr(leaf, "action", "")
         is_able = not isinstance(leaf, RosaAction) or self.kb.is_feasible(action)
-        needed = self._needed[leaf]
-        if letter == "S" and (not is_able or (needed and not needed & self.deeds)):
+        is_early = says.after and self.deeds.isdisjoint(says.after)
+        if letter == "S" and (is_early or not is_able):
             self.is_caused = False
         if letter != "F" and is_able and not isinstance(leaf, Condition):
             effects = self.setup.causes.effects.get(action, set[str]())
@@ -230,9 +227,15 @@ class Rig(VisitorBase):
         """
         for name, value in self.setup.start.items():
             self.kb.measure(name, value)
-        for name in self.environment.values:
-            best = self.environment.best(name)
-            if self.kb.attributes[name].value is None and best is not None:
+        environment = self.environment
+        for name, values in environment.values.items():
+            best = min(values, key=environment.violated(name))
+            is_read = name in environment.read
+            if (
+                self.measured(name) is None
+                and not is_read
+                and not environment.signature(name, best)
+            ):
                 self.kb.measure(name, best)  # as good as no measurement
         return self.settle()
 
@@ -280,7 +283,7 @@ class Rig(VisitorBase):
         for name in self.environment.values:
             view = kb.attributes[name]
             value = STALE if view.is_stale else view.value
-            values.append((name, self.environment.representative(name, value)))
+            values.append((name, value))
         components = kb.components.items()
         selectable = [*kb.designs.values(), *kb.configurations.values()]
         requested = [(each.action, str(each.preference or "")) for each in kb.required_actions]
@@ -358,6 +361,13 @@ class Rig(VisitorBase):
         """Return whether an attribute is of the robot, not of its surroundings."""
         return self.kb.model.attributes[attribute].kind is AttributeKind.QUALITY
 
+    def is_kept(self, name: str) -> bool:
+        """Return whether only the robot changes it: it is a component, or a quality without a rate."""
+        if name in self.kb.components:
+            return True
+        rates = self.kb.model.attributes[name].rates
+        return self.is_quality(name) and all(rate.while_ for rate in rates)
+
     def _instead(self, node: Behaviour) -> str:
         """Return the action whose success a node passes on in place of what it is for.
 
@@ -383,9 +393,8 @@ class Rig(VisitorBase):
         actions = self.kb.actions
         limits = {limit.attribute for name in wanted for limit in actions[name].constraints}
         own = {limit.attribute for limit in actions[action].constraints}
-        enabled = self.setup.causes.enables.get(action, set[str]())
-        helps = enabled & wanted or self._restored(action) & limits
-        return action not in wanted and bool(helps or any(map(self.is_quality, limits - own)))
+        is_freer = any(self.is_quality(name) for name in limits - own)
+        return action not in wanted and (is_freer or bool(self._restored(action) & limits))
 
 
 def acting(nodes: Iterable[Behaviour]) -> list[Any]:

@@ -380,6 +380,6 @@ def _read(text: str | bytes) -> Message:
     if isinstance(text, bytes):
         raise ValueError("binary messages are not accepted; send JSON (compression none)")
     message = json.loads(text)
-    if not isinstance(message, dict):
-        raise ValueError("a message must be an object")
+    if not isinstance(message, dict) or not isinstance(message.get("op"), str):
+        raise ValueError('a message must be an object with a text "op"')
     return message

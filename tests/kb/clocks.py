@@ -1,4 +1,4 @@
-"""A clock that stands where it is put; by itself, since processes that are killed in tests begin with it."""
+"""A clock that stands where it is put."""
 
 
 class Clock:

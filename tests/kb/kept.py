@@ -1,7 +1,9 @@
-"""All that a knowledge base answers, as a value; and a life of one, the same each time, told to a store."""
+"""All that a knowledge base answers, as a value.
+
+And a life of one, the same each time, told to a store.
+"""
 
 import random
-import sys
 from contextlib import closing
 from functools import partial
 
@@ -201,17 +203,3 @@ class Life:
                 yield kb.finish_attempt, kb.history.attempts[-1], result, "as told"
             yield kb.component_active, name, name in plan.activate
         yield kb.finish_plan, plan, chance.choice(("completed", "failed"))
-
-
-def live(path, seed):
-    """Live for ever, and print the number of each fact that is acknowledged."""
-    life, acknowledged = Life(path, seed), 0
-    print("begun", flush=True)
-    for _ in life.moves():
-        if life.kb.store.saved > acknowledged:
-            acknowledged = life.kb.store.saved
-            print(acknowledged, flush=True)
-
-
-if __name__ == "__main__":
-    live(sys.argv[1], int(sys.argv[2]))

@@ -1,4 +1,4 @@
-"""Random models, random things that happen to them, and a knowledge base with its naive twin to happen to."""
+"""Random models, random things that happen to them, and a base with its naive twin."""
 
 import math
 
@@ -57,7 +57,8 @@ def compare(attribute, operator, value):
 
 
 RANDOMS = st.randoms(use_true_random=False)
-"""Chance that Hypothesis draws and shrinks: a tenth of the time that a strategy takes which is made for each model."""
+"""Chance that Hypothesis draws and shrinks: a tenth of the time that a strategy takes which is made
+for each model."""
 
 
 def amount(chance, most):
@@ -85,7 +86,9 @@ def is_so(chance):
 
 
 def models(*, aging=False, debounced=False):
-    """A small model with anything that the builder allows; names are shared across kinds on purpose.
+    """A small model with anything that the builder allows.
+
+    Names are shared across kinds on purpose.
 
     With aging, measurements may be too old after a few seconds.
     """
@@ -372,7 +375,10 @@ class Twins:
             assert (part, set(given)) == (part, set(getattr(expected, part)))
 
     def _adapt(self, number):
-        """Choose for all that is adaptable; the number says which of what is selectable is taken."""
+        """Choose for all that is adaptable.
+
+        The number says which of what is selectable is taken.
+        """
         designs = {}
         for function in sorted(self.naive.adaptable_functions()):
             if options := sorted(self.naive.selectable_designs(function)):

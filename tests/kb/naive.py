@@ -1,6 +1,7 @@
-"""The slow twin of the knowledge base: it keeps base facts only and recomputes everything whenever it is asked.
+"""The slow twin of the knowledge base: it keeps facts only and computes every answer anew.
 
-Transcribed from the written semantics, not from the implementation; it is the oracle of the quick one.
+Transcribed from the written semantics, not from the implementation; it is the oracle of the quick
+one.
 """
 
 import copy
@@ -32,7 +33,7 @@ class Naive:
         self.designs = set()  # names of the selected ones
         self.configurations = set()
         self.open_actions = set()
-        self.asserted = {}  # status by (kind, name); constraints by ("constraint", position in model.constraints)
+        self.asserted = {}  # by (kind, name); constraints by ("constraint", position)
         self.asserted_required = set()  # (kind, name)
 
     def measure(self, name, value):
@@ -252,7 +253,10 @@ class Naive:
     # selecting
 
     def mark(self, designs, configurations):
-        """Select what is chosen, unselect its rivals and what is obsolete; return the designs replaced by rivals."""
+        """Select what is chosen, unselect its rivals and what is obsolete.
+
+        Return the designs replaced by rivals.
+        """
         replaced = set()
         for function, chosen in designs.items():
             replaced |= {
@@ -294,7 +298,7 @@ class Naive:
 
 
 class DebouncedByTheLetter:
-    """One debounced constraint: its status, since when, and what was said since the last silence."""
+    """One debounced constraint: its status, since when, and what the measurements say."""
 
     def __init__(self, constraint, attribute):
         self.constraint = constraint

@@ -21,7 +21,7 @@ from models import (
     mostly_some,
 )
 
-from kb import AmbiguousName, Event, KnowledgeBase, Model, ModelError, UnknownName
+from kb import Event, KnowledgeBase, Model, ModelError, UnknownName
 
 SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
 
@@ -125,7 +125,8 @@ def test_amended_base_answers_as_its_twin_and_its_replay(model, data):
         if data.draw(st.booleans()):
             amend(twins, data)
         else:
-            # constraints are numbered, and an assertion about one would be about another after a removal
+            # constraints are numbered, and an assertion about one would be about another after a
+            # removal
             is_safe = events(model).filter(lambda event: "constraint" not in str(event[1:2]))
             twins.happen(data.draw(is_safe))
         twins.agree()
@@ -192,15 +193,6 @@ def test_a_change_that_is_refused_changes_nothing(kb, change, words):
     assert (view.priority, dict(view.parameters), view.component) == kept
 
 
-def test_what_is_of_another_model_or_gone_cannot_be_changed(kb):
-    day = kb.model.configurations["day"]
-    with pytest.raises(ModelError, match="belongs to model 'rover'"):
-        Model("other").change(day, priority=3)
-    kb.model.remove(day)
-    with pytest.raises(ModelError, match="'day' is not in model 'rover', or no longer"):
-        kb.model.change(day, priority=3)
-
-
 def test_a_model_holds_no_knowledge_base_alive():
     model = rover()
     base = KnowledgeBase(model)
@@ -227,26 +219,3 @@ def test_a_view_of_what_is_removed_cannot_be_asserted(kb):
     kb.model.remove(kb.model.actions["explore"])
     with pytest.raises(UnknownName, match="explore"):
         kb.assert_status(view, "unfeasible")
-
-
-def test_elements_are_amended_by_a_unique_name():
-    model = Model("rover")
-    function = model.function("explore")
-    model.action("explore", requires=[function])
-    camera = model.component("camera")
-    night = camera.configuration("night", priority=2)
-    model.change("night", priority=1)
-    assert night.priority == 1
-    model.remove("night")
-    assert list(model.configurations) == []
-    with pytest.raises(
-        AmbiguousName, match=r"an action, a function; .* model.actions\['explore'\]"
-    ):
-        model.remove("explore")
-    with pytest.raises(UnknownName, match="did you mean 'camera'"):
-        model.change("camra", always_improve=True)
-    with pytest.raises(UnknownName, match=r"did you mean 'explore'\?$"):
-        model.remove("explor")
-    with pytest.raises(UnknownName, match=r"known: 'explore', 'camera'$"):
-        model.remove("zzz")
-    assert list(model.actions) == list(model.functions) == ["explore"]

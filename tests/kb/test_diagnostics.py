@@ -211,14 +211,6 @@ def test_no_array_raises_and_facts_stay_finite(array, has_rules):
         assert attribute.value is None or math.isfinite(attribute.value)
 
 
-@given(st.permutations([(OK, "a"), (WARN, "a"), (ERROR, "b"), (STALE, "b"), (OK, "b")]))
-def test_order_of_statuses_in_an_array_does_not_matter(statuses):
-    kb = make_kb()
-    array = [status("", level, f"lidar: {name}", light="0.5") for level, name in statuses]
-    kb.receive(array, rules=DiagnosticRules(RULES))
-    assert kb.components["lidar"].status is Status.FAILURE
-
-
 # -------------------------------------------------------------------- by rules
 
 UPDATER = """{"header": {"stamp": {"sec": 1795837572, "nanosec": 709228094}, "frame_id": ""},

@@ -1,4 +1,4 @@
-"""The log: every event is data, can be written as JSON, and told to another base, which then knows the same."""
+"""The log: every event is data, can be written as JSON, and replayed in another base."""
 
 import json
 from types import MappingProxyType
@@ -47,15 +47,11 @@ ODD = "it said: (no) until 3 s\n\u2028 is asserted failure"
     ("verb", "arguments"),
     [
         ("measure", ("light", 0.1 + 0.2)),
-        ("measure", ("light", 1 / 3)),
         ("component_failed", ("camera", ODD)),
         ("component_active", ("camera", True, ODD)),
-        ("component_started", ("camera", 77)),
         ("request_action", ("explore", None)),
-        ("request_action", ("explore", "light")),
         ("request_action", ("explore", MappingProxyType({"light": 0.1 + 0.2}))),
         ("select", ({"see": "by camera"}, {"camera": "day"}, ODD)),
-        ("select", ({}, {"camera": "night"}, "")),
     ],
 )
 def test_event_carries_the_arguments_exactly(kb, verb, arguments):

@@ -182,19 +182,6 @@ def test_component_that_could_not_be_stopped_is_stopped_later(system):
     assert life.managed.running == life.believed == set()
 
 
-def test_component_stopped_by_a_failed_command_is_inactive():
-    class Grumbling(Candid):
-        def deactivate(self, component):
-            super().deactivate(component)
-            raise Broken("stopped, but not as it should")
-
-    life = Life(system=Grumbling)
-    life.explore()
-    life.kb.cancel_action("explore")
-    life.rest()
-    assert life.managed.running == life.believed == set()
-
-
 def test_component_that_stopped_by_itself_has_failed():
     life = Life(system=Candid)
     life.explore(2)
@@ -203,16 +190,6 @@ def test_component_that_stopped_by_itself_has_failed():
     assert life.camera.status is Status.FAILURE
     assert "camera is not running, though nobody has stopped it" in plan.reason
     assert life.managed.running == {"lidar"}
-
-
-def test_late_news_that_a_component_runs_is_no_failure():
-    life = Life(system=Candid)
-    life.explore(2)
-    life.kb.cancel_action("explore")
-    life.turn(2)
-    life.kb.component_active("camera", True)
-    life.turn()
-    assert (life.camera.is_active, life.camera.status) == (False, Status.FEASIBLE)
 
 
 # -------------------------------------------------------------------- quarantine
@@ -243,13 +220,6 @@ def test_configuration_is_released_after_its_hold():
     life.turn(2)
     assert life.camera.selected_configuration == "day"
     assert life.managed.parameters == {"camera": {"exposure": 0.01}}
-
-
-def test_released_configuration_is_not_chosen_while_another_works():
-    life = in_quarantine()
-    life.clock.now = 200.0
-    life.turn(3)
-    assert life.camera.selected_configuration == "night"
 
 
 @pytest.mark.parametrize("hold", [0.0, 1e-300, 1e-9])
@@ -339,39 +309,7 @@ def test_component_started_in_vain_is_stopped_again():
     assert kb.actions["explore"].status is Status.SOLVED
 
 
-def test_start_that_came_true_too_late_is_undone():
-    class Late(Scripted):
-        def activate(self, component):
-            super().activate(component)
-            return Operation(self.clock, math.inf, None, None)
-
-    life = Life(model=trio(), system=Late, timeout=2.0)
-    life.explore()
-    assert life.managed.running == set()
-
-
 # -------------------------------------------------------------------- reasons, vetoes, bad input
-
-
-def test_plan_that_starts_something_again_says_why():
-    life = Life()
-    life.explore(1)
-    life.kb.component_active("camera", False, "somebody pulled the plug")
-    plan = life.manager.dry_run()
-    assert plan.reason == "somebody pulled the plug; camera is needed by explore"
-    assert life.manager.update().reason == plan.reason
-    life.kb.component_active("camera", False)
-    assert life.manager.update().reason == "camera is not active, and is needed by explore"
-    life.kb.cancel_action("explore")
-    assert "no longer needed" in life.manager.update().reason
-
-
-def test_veto_is_on_record_with_its_plan():
-    life = Life(veto=lambda plan: "no lamps at night")
-    (plan,) = life.explore(1)
-    (answer,) = life.kb.history.answers
-    assert (answer.plan, answer.is_vetoed, answer.reason) == (plan, True, "no lamps at night")
-    assert plan.result == "abandoned"
 
 
 @pytest.mark.parametrize(

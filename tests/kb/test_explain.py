@@ -288,12 +288,6 @@ def test_whole_text_ends_with_what_would_help(kb):
     assert str(kb.explain("explore")).endswith(words)
 
 
-def test_refused_request_gives_the_explanation(kb):
-    kb.measure("light", 0.24)
-    reply = kb.request_action("explore")
-    assert (bool(reply), reply.reason) == (False, kb.why("explore"))
-
-
 def test_reasons_that_suffice_alone_are_apart_from_joint_ones():
     model = Model("reasons")
     light = model.environmental_attribute("light")
@@ -483,11 +477,6 @@ def test_choice_that_nothing_requires_says_so(rover):
         "those that are feasible; nothing requires the function now; not by touch: it has "
         "priority number 3, which comes after 1"
     )
-
-
-@pytest.mark.parametrize(("name", "part"), [("dream", "design"), ("lamp", "configuration")])
-def test_choice_of_what_has_no_parts_says_so(rover, name, part):
-    assert str(rover.explain_choice(name)).endswith(f"because it has no {part}")
 
 
 def test_alternative_is_unfeasible_or_comes_later(rover):

@@ -10,9 +10,7 @@ from kb import (
     KnowledgeBase,
     KnowledgeBaseError,
     Model,
-    ModelError,
     Status,
-    UnknownName,
 )
 from kb.elements import (
     ActiveFact,
@@ -118,22 +116,6 @@ def test_stated_records_that_ended_are_not_open(model):
     assert kb.pending_plan is pending
     assert pending.deactivate == ("camera",)
     assert kb.finish_plan(pending, "abandoned")
-
-
-@pytest.mark.parametrize(
-    ("fact", "error", "words"),
-    [
-        (MeasurementFact("lihgt", 1.0), UnknownName, "did you mean 'light'"),
-        (MeasurementFact("light", float("inf")), InvalidValue, "finite"),
-        (ActiveFact("lidar"), UnknownName, "unknown component 'lidar'"),
-        (PlanFact(parameters=("night",)), UnknownName, "unknown configuration 'night'"),
-        ("light is on", ModelError, "a fact is one of those in kb.elements"),
-    ],
-)
-def test_facts_about_what_is_not_there_are_refused(model, fact, error, words):
-    with pytest.raises(error, match=words):
-        model.add_fact(fact)
-    assert model.facts == ()
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import collections
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from models import Twins, events, models, stories, subsets
+from models import Twins, events, stories, subsets
 
 from kb import KnowledgeBase, Model, Status
 
@@ -29,28 +29,6 @@ def test_adaptable_components_are_those_after_the_chosen_designs(story, data):
         assert set(supposed) == twins.naive.adaptable_components(chosen.values())
     assert twins.statuses() == before
     twins.agree()
-
-
-@slow_to_generate
-@given(models(), st.data())
-def test_statuses_do_not_depend_on_the_order_of_facts(model, data):
-    facts = {}
-    for event in data.draw(st.lists(events(model, selecting=False), min_size=2, max_size=12)):
-        if event[0] in ("request", "cancel"):
-            continue  # a request may be refused, depending on what is known then
-        what = {"failed": "failure", "recovered": "failure"}.get(
-            event[0], event[0].removeprefix("retract_")
-        )
-        facts[what.removeprefix("assert_"), event[1]] = event
-    for what, subject in list(facts):
-        if what == "status" and ("failure", subject[1]) in facts:
-            del facts[what, subject]  # being recovered retracts an asserted failure
-    one, other = Twins(model), Twins(model)
-    for event in facts.values():
-        one.happen(event)
-    for event in data.draw(st.permutations(list(facts.values()))):
-        other.happen(event)
-    assert one.statuses() == other.statuses()
 
 
 @slow_to_generate

@@ -108,13 +108,6 @@ def test_running_action_stays_required_when_unfeasible(kb):
     assert kb.is_feasible("explore")
 
 
-def test_asserted_false_hides_no_inferred_requirement(kb):
-    kb.request_action("explore")
-    for element in (kb.actions["explore"], kb.functions["see"]):
-        kb.assert_required(element, False)
-        assert element.is_required
-
-
 # events
 
 
@@ -231,17 +224,12 @@ def test_what_is_so_or_not_is_a_boolean(kb, value):
 UNKNOWN = [
     (lambda kb: kb.measure("ligt", 1.0), "did you mean 'light'"),
     (lambda kb: kb.component_failed("camra"), "did you mean 'camera'"),
-    (lambda kb: kb.component_recovered("camra"), "did you mean 'camera'"),
     (lambda kb: kb.component_active("camra", True), "did you mean 'camera'"),
-    (lambda kb: kb.request_action("explor"), "did you mean 'explore'"),
     (lambda kb: kb.request_action("explore", "batery"), "did you mean 'battery'"),
-    (lambda kb: kb.cancel_action("explor"), "did you mean 'explore'"),
     (lambda kb: kb.is_feasible(None), "known: 'explore', 'rest'"),
     (lambda kb: kb.selectable_designs("sea"), "did you mean 'see'"),
-    (lambda kb: kb.selectable_configurations("camra"), "did you mean 'camera'"),
     (lambda kb: kb.adaptable_components(["by camra"]), "did you mean 'by camera'"),
     (lambda kb: kb.assert_status("explor", "unfeasible"), "did you mean 'explore'"),
-    (lambda kb: kb.assert_selected("dy", True), "did you mean 'day'"),
     (lambda kb: kb.designs["by camra"], "did you mean 'by camera'"),
     (lambda kb: kb.explain(["explore"]), "explore"),
 ]
@@ -379,35 +367,6 @@ def test_parameters_in_force_are_those_last_given_and_a_copy(kb):
 
 
 # time
-
-
-def test_clock_of_the_base_is_the_only_time(kb, clock, told, monkeypatch):
-    def forbidden():
-        raise AssertionError("the wall clock was read")
-
-    for name in ("time", "monotonic", "perf_counter"):
-        monkeypatch.setattr(f"time.{name}", forbidden)
-    kb.request_action("explore")
-    clock.now = 12.0
-    plan = kb.select({"see": "by camera"})
-    kb.explain("explore")
-    kb.receive([{"message": "qa status", "values": {"battery": "1"}}])
-    clock.now = 13.0
-    kb.finish_plan(plan, "completed")
-    monkeypatch.undo()
-    assert (plan.start, plan.end) == (12.0, 13.0)
-    assert {event.time for event in told} == {10.0, 12.0, 13.0}
-
-
-def test_clock_that_raises_changes_nothing(kb, monkeypatch):
-    def stopped(self):
-        raise RuntimeError("no time")
-
-    monkeypatch.setattr(Clock, "__call__", stopped)
-    with pytest.raises(RuntimeError):
-        kb.component_failed("camera")
-    monkeypatch.undo()
-    assert kb.components["camera"].status is Status.FEASIBLE
 
 
 @settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=40)

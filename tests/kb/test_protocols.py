@@ -1,4 +1,4 @@
-"""What is handed to a manager is looked at where it is handed in, and what it answers is: a slip is no broken robot."""
+"""What a manager is given is checked at once: a slip in a program is no broken robot."""
 
 import pytest
 from managed_stand_ins import Scripted, base, rover
@@ -8,7 +8,6 @@ from kb import (
     ConfigurationManager,
     InvalidValue,
     KnowledgeBaseError,
-    PriorityPlanner,
     ProtocolError,
     Status,
     UnknownName,
@@ -36,10 +35,6 @@ class Slow(Does):
         return None
 
 
-class Lacking(Does):
-    deactivate = None
-
-
 class Puzzling(Does):
     async def is_active(self, component):
         return True
@@ -61,13 +56,10 @@ def of(name, method):
         ({"managed": Does}, r"Does is a class: write Does\("),
         ({"managed": TooFew()}, r"is called as activate\(component\); TooFew.activate: too many"),
         ({"managed": Slow()}, r"activate\(component\) of Slow is async"),
-        ({"managed": Lacking()}, r"a managed system has a method deactivate\(component\)"),
         ({"managed": Puzzling()}, r"is_active\(component\) of Puzzling is async"),
         ({"planner": "by priority"}, r"a planner has a method plan\(kb\); 'by priority' has none"),
-        ({"planner": PriorityPlanner}, "PriorityPlanner is a class"),
         ({"planner": of("plan", lambda self: None)}, r"a planner is called as plan\(kb\)"),
         ({"executor": of("run", lambda self, kb: None)}, r"an executor has a method execute\(kb\)"),
-        ({"monitors": [of("observe", lambda self: None)]}, r"a monitor is called as observe\(kb\)"),
     ],
 )
 def test_what_cannot_be_called_is_refused_where_it_is_handed_in(given, said):
@@ -139,7 +131,6 @@ def test_wrong_answer_raises_and_fails_no_component(answer, said):
             InvalidValue,
             "day cannot be selected: .* violates >= 0.5",
         ),
-        (lambda kb: kb.select({"see": "by radar"}), UnknownName, "by radar"),
         (lambda kb: kb.select({"see": "day"}), UnknownName, "unknown function design 'day'"),
         (
             lambda kb: Choice({"see": "by lidar"}, {}),

@@ -24,14 +24,16 @@ def check_selected(kb, designs, configurations):
     """Assert that what is chosen is the only one selected of its function or component."""
     for function, chosen in designs.items():
         of_it = [
-            one.name for one in kb.designs.values() if one.function == function and one.is_selected
+            design.name
+            for design in kb.designs.values()
+            if design.function == function and design.is_selected
         ]
         assert of_it == ([chosen] if kb.functions[function].is_required else [])
     for component, chosen in configurations.items():
         of_it = [
-            one.name
-            for one in kb.configurations.values()
-            if one.component == component and one.is_selected
+            configuration.name
+            for configuration in kb.configurations.values()
+            if configuration.component == component and configuration.is_selected
         ]
         assert of_it in ([chosen], [])
 
@@ -138,17 +140,11 @@ def test_component_of_both_designs_is_kept(kb):
     plan = kb.select({"see": "by lidar"})
     assert (plan.activate, plan.deactivate, plan.parameters) == (("lidar",), ("camera",), ())
     carry_out(kb, plan)
-    assert [one.name for one in kb.components.values() if one.is_active] == ["lidar", "driver"]
+    assert [component.name for component in kb.components.values() if component.is_active] == [
+        "lidar",
+        "driver",
+    ]
     assert kb.actions["explore"].status is Status.SOLVED
-
-
-def test_an_asserted_required_does_not_keep_a_component_active(kb):
-    kb.component_active("lidar", True)
-    kb.assert_required(kb.components["lidar"], True)
-    assert kb.components["lidar"].is_required
-    assert kb.obsolete().components == ("lidar",)
-    plan = kb.select()
-    assert (plan.activate, plan.deactivate) == ((), ("lidar",))
 
 
 def test_a_plan_that_fails_leaves_the_older_ones_open(kb):

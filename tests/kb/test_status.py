@@ -15,7 +15,8 @@ from kb.status import (
     function_status,
 )
 
-# Each table is what the semantics says, read downwards: (status, whether the line holds for a case).
+# Each table is what the semantics says, read downwards: (status, whether the line holds for a
+# case).
 
 CONSTRAINT = [
     ("not evaluated", lambda it: it["measured"] is None),
@@ -139,7 +140,7 @@ def cases(**spaces):
 
 
 def of(case, parts):
-    """A case as a table is asked about it: the statuses of the parts, and of those selected of them."""
+    """A case as a table is asked: the statuses of the parts, and of the selected ones."""
     chosen = [status for status, is_selected in case[parts] if is_selected]
     return {**case, parts: [status for status, _ in case[parts]], "selected": chosen}
 

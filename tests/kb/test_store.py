@@ -76,23 +76,6 @@ def test_kill_under_four_threads_loses_nothing_acknowledged(tmp_path, delay):
     assert {name: kb.attributes[name].value for name in last} == last
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_killed_life_goes_on_as_if_it_had_stopped_there(tmp_path, seed):
-    acknowledged = killed((str(HERE / "kept.py"),), tmp_path / "life", seed, delay=0.1 * seed)
-    again = Life(tmp_path / "life", seed)
-    ended = [*again.kb.plans, *again.kb.history.attempts]
-    saved = again.kb.log.last - sum(record.end == 0.0 for record in ended)
-    assert saved >= acknowledged
-    twin = Life(tmp_path / "twin", seed)
-    moves = twin.moves()
-    while twin.kb.log.last < saved:
-        next(moves)
-    again.clock.now = twin.clock.now
-    assert answers(again.kb) == answers(twin.kb, ended=True)
-    again.kb.close()
-    twin.kb.close()
-
-
 def test_reopened_base_answers_the_same_from_a_snapshot(tmp_path):
     life = Life(tmp_path / "life", 7)
     moves = life.moves()

@@ -1,4 +1,4 @@
-"""Who listens hinders nobody: not when interrupted, not by answering without end, not by asking another base."""
+"""A subscriber hinders nobody: not when interrupted, not by asking another base."""
 
 import os
 import threading
@@ -79,16 +79,6 @@ def test_no_lock_is_held_while_the_code_of_others_runs(where):
     kb.measure("light", 0.7)
     assert answered[0] is None
     assert len(answered) == 2
-
-
-def test_who_holds_a_base_is_heard_once_it_is_held_no_more():
-    kb, heard = base(), []
-    kb.subscribe(lambda event: heard.append(event.number))
-    with kb.reading():
-        kb.measure("light", 0.1)
-        assert heard == []
-    kb.measure("light", 0.2)
-    assert heard == [1, 2]
 
 
 def in_a_fork(child):

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import pytest
 from models import Clock
 
-from kb import EventKind, InvalidValue, KnowledgeBase, Model, PriorityPlanner, Status, UnknownName
+from kb import EventKind, InvalidValue, KnowledgeBase, Model, PriorityPlanner, Status
 
 
 @contextmanager
@@ -44,7 +44,10 @@ def run_together(*jobs):
 
 @pytest.fixture
 def kb():
-    """Two ways to see, by two attributes; an action that needs one of them, and one that needs the first."""
+    """Two ways to see, by two attributes.
+
+    An action that needs one of them, and one that needs the first.
+    """
     model = Model("twofold")
     see = model.function("see", always_improve=True)
     for number in (1, 2):
@@ -149,43 +152,3 @@ def test_model_may_grow_while_other_threads_record(kb):
     assert len(kb.actions) == 151
     assert len(kb.functions["see"].designs) == 2 + 75
     assert len(kb.selectable_actions()) == 151
-
-
-def test_what_became_due_meanwhile_comes_before_the_fact():
-    model, clock = Model("old"), Clock(1.0)
-    light = model.environmental_attribute("light", max_age=100.0)
-    model.component("eye")
-    kb = KnowledgeBase(model, clock=clock)
-    kb.measure("light", 0.2)
-
-    def read_slowly():
-        kb._clock, clock.now = clock, 9.0
-        kb.component_failed("eye")
-        model.change(light, max_age=3.0)
-        return 2.0
-
-    kb._clock = read_slowly
-    kb.component_recovered("eye")
-    assert [one.verb for one in kb.log] == [
-        "measure",
-        "component_failed",
-        "amend",
-        "stale",
-        "component_recovered",
-    ]
-
-
-def test_attribute_removed_meanwhile_is_not_measured(kb):
-    wind, clock = kb.model.quality_attribute("wind"), kb._clock
-
-    def read_slowly():
-        kb._clock = clock
-        kb.model.remove(wind)
-        return clock()
-
-    kb._clock = read_slowly
-    with pytest.raises(UnknownName, match="wind"):
-        kb.measure("wind", 1.0)
-    assert [one.verb for one in kb.log] == ["amend", "amend"], (
-        "a measurement of nothing could not be told again"
-    )

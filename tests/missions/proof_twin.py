@@ -151,7 +151,7 @@ def agree(seed, rounds):
     twin = Twin(replace(setup, symmetric=False), rounds)
     assert found.is_finished
     early = [number for number in found.every if len(found.path(number)) <= rounds]
-    assert {seen(found.load(number)) for number in early} == twin.situations
+    assert {seen(found.load(found.situations[number])) for number in early} == twin.situations
     assert twin.ticked <= {node.name for node in found.rig.ticked}
     soon = {fault for fault, trail in found.faults.items() if len(trail) <= rounds}
     assert soon <= twin.faults <= set(found.faults)
