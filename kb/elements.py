@@ -739,9 +739,9 @@ def exact(value: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class MeasurementFact:
-    """An attribute had a value, in its unit; a value that is not the latest one goes to the history only.
+    """An attribute had a value, in its unit; one that is not the latest goes to the history only.
 
-    The time of measurement is in s since 1970-01-01 UTC; None stands for the time when the knowledge base is made.
+    The time is in s since 1970-01-01 UTC; None stands for when the knowledge base is made.
     """
 
     attribute: str
@@ -781,9 +781,10 @@ class ActiveFact:
 
 @dataclass(frozen=True, slots=True)
 class RequiredActionFact:
-    """An action was requested, with the weight of each attribute to favour; without an end it is still required.
+    """An action was requested, with the weight of each attribute to favour.
 
-    Start and end are times [s since 1970-01-01 UTC]; a start of None is the time when the knowledge base is made.
+    Without an end it is still required. Start and end are times [s since 1970-01-01 UTC]; a start
+    of None is the time when the knowledge base is made.
     """
 
     action: str
@@ -795,7 +796,7 @@ class RequiredActionFact:
 
 @dataclass(frozen=True, slots=True)
 class ProcessFact:
-    """A component ran, or runs, as a process of the operating system; times as in `RequiredActionFact`."""
+    """A component ran, or runs, as a process; times as in `RequiredActionFact`."""
 
     component: str
     pid: int
@@ -805,7 +806,7 @@ class ProcessFact:
 
 @dataclass(frozen=True, slots=True)
 class PlanFact:
-    """A reconfiguration plan was made; names as in `ReconfigurationPlan`, times as in `RequiredActionFact`."""
+    """A reconfiguration plan was made; times as in `RequiredActionFact`."""
 
     activate: tuple[str, ...] = ()
     deactivate: tuple[str, ...] = ()

@@ -204,7 +204,6 @@ class Domain:
         signatures: the predicates and numbers by their names in lower case.
         kinds: for each type, in lower case, its name in the file and its lineage, itself first.
         types: for each object its type and the ancestors of this type, in lower case.
-        constants: the objects that the domain file declares.
         places: file and line of each declaration, by kind (object, action) and name.
         facts: the initial facts of the problem file.
         numbers: the initial values of numbers, by their text.
@@ -226,7 +225,6 @@ class Domain:
     signatures: Mapping[str, Signature] = field(repr=False)
     kinds: Mapping[str, tuple[str, tuple[str, ...]]] = field(repr=False)
     types: Mapping[str, tuple[str, ...]] = field(repr=False)
-    constants: frozenset[str] = frozenset()
     places: Mapping[tuple[str, str], tuple[str, int]] = field(default_factory=dict, repr=False)
     facts: State = field(default=frozenset(), repr=False)
     numbers: Mapping[str, Exact] = field(default_factory=dict, repr=False)

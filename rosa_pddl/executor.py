@@ -271,8 +271,8 @@ class PlanExecutor(Behaviour):
         domain = without_object(self._domain, name)
         self._release([each for each in self._running if spelled in each.step.arguments])
         self._use(domain)
-        unfinished = () if self._plan is None else self._plan.unfinished_steps
-        if any(spelled in step.arguments for step in unfinished):
+        steps = () if self._plan is None else self._plan.steps
+        if any(spelled in step.arguments for step in steps):
             self._want(f"{spelled} is gone")
 
     def _use(self, domain: Domain) -> None:
@@ -312,10 +312,6 @@ class PlanExecutor(Behaviour):
         Raises PlanningBudgetError if the answer needs more wall-clock time than the planner allows.
         """
         self._client.catch_up()
-
-    def reset_backoff(self) -> None:
-        """End all pauses and forget all failures, so that the next tick may plan and begin steps."""
-        self._replanning.reset_backoff()
 
     def setup(self, **kwargs: object) -> None:
         """Keep what the behaviours of steps are to be set up with; called before the first tick."""

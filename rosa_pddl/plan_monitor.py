@@ -80,24 +80,15 @@ class PlanExecution:
     @property
     def startable(self) -> tuple[int, ...]:
         """The steps that may start now."""
-        return tuple(n for n in self.remaining if self.after[n] <= self.happened)
-
-    @property
-    def remaining(self) -> tuple[int, ...]:
-        """The steps that have not started."""
-        numbers = range(len(self.steps))
-        return tuple(n for n in numbers if StepEvent(n, False) not in self.happened)
+        waiting = enumerate(self.after)
+        ready = [number for number, events in waiting if events <= self.happened]
+        return tuple(n for n in ready if StepEvent(n, False) not in self.happened)
 
     @property
     def running(self) -> tuple[int, ...]:
         """The steps that have started and not ended."""
         started = sorted({event.number for event in self.happened})
         return tuple(n for n in started if StepEvent(n, True) not in self.happened)
-
-    @property
-    def unfinished_steps(self) -> tuple[Step, ...]:
-        """The steps that have not ended, those that run first."""
-        return tuple(self.steps[number] for number in (*self.running, *self.remaining))
 
     def starts_with(self, step: Step) -> int | None:
         """Return the number of an equal step that may start now, or None."""
@@ -217,17 +208,11 @@ class PlanMonitor:
         ends_s = plan.ends_s(takes, shares)
         if max((0.0, *ends_s)) <= min(left.values()):
             return None
-        flaw = plan.prediction(domain, state, left, ends_s).flaw
-        if flaw is None:
-            return None
-        reasons = list[str]()
-        for atom, forecast in forecasts.items():
-            alone = {atom: left[atom]} if atom in left else {}
-            if alone and plan.prediction(domain, state, alone, ends_s).flaw == flaw:
-                reasons.append(f"{forecast.action} is {forecast}")
-        if not reasons:
-            reasons = [f"{forecasts[atom].action} is {forecasts[atom]}" for atom in left]
-        return f"{flaw}, as {' and '.join(reasons)}"
+        for atom, left_s in left.items():
+            flaw = plan.prediction(domain, state, {atom: left_s}, ends_s).flaw
+            if flaw is not None:
+                return f"{flaw}, as {forecasts[atom].action} is {forecasts[atom]}"
+        return None
 
     def aimed(
         self, plan: PlanExecution, state: State, hard: tuple[Goal, ...], soft: tuple[Goal, ...]

@@ -1,6 +1,6 @@
 """A planning problem, what came of planning, and the PDDL text that engines read."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from fractions import Fraction
@@ -11,7 +11,6 @@ from typing import NamedTuple
 from rosa_pddl.domain import (
     TIME,
     TRUE,
-    Binding,
     Domain,
     Effect,
     Exact,
@@ -24,7 +23,6 @@ from rosa_pddl.domain import (
     Step,
     UnknownNameError,
     atom_text,
-    bound,
     exact,
     head_of,
     names_in,
@@ -34,13 +32,12 @@ from rosa_pddl.domain import (
     text_of,
     variables_text,
 )
-from rosa_pddl.grounding import UnsearchableError, binding_of, cost_of, substituted
+from rosa_pddl.grounding import UnsearchableError, binding_of, cost_of
 from rosa_pddl.reader import Goal
 from rosa_pddl.validate import TimedStep, Values
 
 _FREE = "rosa-free"
 _FIRST = "rosa-first"
-_ACTION = "-rosa-action"
 
 
 class Outcome(Enum):
@@ -211,18 +208,17 @@ class PddlText(NamedTuple):
 
     Args:
         domain, problem: the two texts.
-        names: the PDDL action for each action in the text, with its arguments if they are fixed.
+        names: the PDDL action for each action in the text.
     """
 
     domain: str
     problem: str
-    names: Mapping[str, tuple[str, tuple[str, ...] | None]]
+    names: Mapping[str, str]
 
     def step(self, domain: Domain, name: str, arguments: Sequence[str]) -> Step:
         """Return the step for an action in the text."""
-        schema, fixed = self.names[name.lower()]
         words = [domain.spelling("object", word, word) for word in arguments]
-        return domain.step(schema, words if fixed is None else fixed)
+        return domain.step(self.names[name.lower()], words)
 
 
 class _Writer:
@@ -235,14 +231,14 @@ class _Writer:
         self._is_timed = style in ("overlapping", "timed")
         self._cost = "total-cost" if style == "costs" else "rosa-cost"
         self._values = Values(problem.domain, problem.state, problem.costs)
-        self._names: dict[str, tuple[str, tuple[str, ...] | None]] = {}
+        self._names: dict[str, str] = {}
         self._scale = self._scale_of_costs() if style == "costs" else 1
 
     def write(self) -> PddlText:
         """Return the two texts."""
         domain = self._domain
         if domain.only_planned:
-            names = {name.lower(): (name, None) for name in domain.schema_of}
+            names = {name.lower(): name for name in domain.schema_of}
             return PddlText(*domain.texts, names)
         actions = list[str]()
         for schema in domain.schema_of.values():
@@ -253,30 +249,32 @@ class _Writer:
 
     def _versions(self, schema: Schema) -> Iterator[Schema]:
         """Yield an action without the steps that have weights, and each of these by itself."""
-        weights = {s: w for s, w in self._problem.weights.items() if s.schema == schema.name}
         excluded = list[Formula]()
-        for number, (step, weight) in enumerate(weights.items()):
-            binding = binding_of(self._domain, step)
-            excluded.append(("not", ("and", *(("same", *pair) for pair in binding.items()))))
-            if weight:
-                fixed = _fixed(schema, binding)
-                yield self._styled(fixed, f"{schema.name}-again-{number}", step, weight)
-        for number, (step, share) in enumerate(self._problem.shares.items()):
+        for step, weight in self._problem.weights.items():
+            if step.schema == schema.name:
+                same = self._same(step)
+                excluded.append(("not", ("and", *same)))
+                if weight:
+                    yield self._styled(schema, step, weight, same)
+        for step, share in self._problem.shares.items():
             if self._style == "timed" and step.schema == schema.name and schema.duration:
-                fixed = _fixed(schema, binding_of(self._domain, step))
-                rest = [("*", exact(share), bound_s) for bound_s in fixed.duration or ()]
-                first = (*fixed.start, ("atom", _FIRST, ()))
-                fixed = replace(fixed, start=first, duration=(rest[0], rest[1]))
-                yield self._styled(fixed, f"{schema.name}-rest-{number}", step, 1)
-        general = replace(schema, start=(*schema.start, *excluded))
+                least, most = (("*", exact(share), bound_s) for bound_s in schema.duration)
+                rest = replace(schema, duration=(least, most))
+                yield self._styled(rest, step, 1, [*self._same(step), ("atom", _FIRST, ())])
         arguments = tuple(name for name, _ in schema.variables)
-        # a name that nothing else in the text has, as unified-planning wants it
-        yield self._styled(general, f"{schema.name}{_ACTION}", Step(schema.name, arguments), 1)
+        yield self._styled(schema, Step(schema.name, arguments), 1, excluded)
 
-    def _styled(self, schema: Schema, name: str, step: Step, weight: int) -> Schema:
-        """Return an action in the style, with its cost."""
-        is_open = bool(schema.parameters)
-        self._names[name.lower()] = schema.name, None if is_open else step.arguments
+    def _same(self, step: Step) -> list[Formula]:
+        return [("same", *pair) for pair in binding_of(self._domain, step).items()]
+
+    def _styled(
+        self, schema: Schema, step: Step, weight: int, further: Iterable[Formula]
+    ) -> Schema:
+        """Return an action in the style, with its cost and further conditions."""
+        # a name that nothing else in the text has, as unified-planning wants it
+        name = f"{schema.name}-action-{len(self._names)}"
+        self._names[name.lower()] = schema.name
+        schema = replace(schema, start=(*schema.start, *further))
         metric = self._domain.metric
         amount: Number = weight
         if self._style == "costs":
@@ -295,10 +293,9 @@ class _Writer:
         ends = schema.end_effects
         if amount != 0:
             ends = (*ends, Effect("increase", self._cost, (), amount=amount))
-        schema = replace(schema, name=name, end_effects=ends)
         if self._style == "timed":
-            ends = (Effect("delete", _FIRST, ()), *schema.end_effects)
-            schema = replace(schema, end_effects=ends)
+            ends = (*ends, Effect("delete", _FIRST, ()))
+        schema = replace(schema, name=name, end_effects=ends)
         return schema if self._style == "overlapping" else _exclusive(schema)
 
     def _whole_cost(self, step: Step, weight: int) -> Number:
@@ -330,6 +327,10 @@ class _Writer:
     def _domain_text(self, actions: Iterable[str]) -> str:
         domain = self._domain
         kinds = sorted(domain.kinds.values(), key=lambda kind: len(kind[1]))
+        # all objects, as conditions name steps that have failed
+        constants = [
+            f"{name} - {domain.kinds[above[0]][0]}" for name, above in domain.types.items()
+        ]
         types = [f"{name} - {domain.kinds[above[1]][0]}" for name, above in kinds if above[1:]]
         signatures = [each for each in domain.signatures.values() if each.name != self._cost]
         predicates = [str(each) for each in signatures if not each.is_number]
@@ -348,7 +349,7 @@ class _Writer:
             "(define (domain rosa)",
             f"(:requirements {requirements})",
             f"(:types {' '.join(types)})" if types else "",
-            self._objects(":constants", domain.constants),
+            f"(:constants {' '.join(constants)})" if constants else "",
             f"(:predicates ({_FREE}) ({_FIRST}) {' '.join(predicates)})",
             f"(:functions {' '.join(numbers)} ({self._cost}))",
             *axioms,
@@ -358,7 +359,7 @@ class _Writer:
         return "\n".join(parts)
 
     def _problem_text(self) -> str:
-        problem, domain = self._problem, self._domain
+        problem = self._problem
         facts = [fact for fact in sorted(problem.state) if not fact.startswith("(= ")]
         numbers = self._numbers()
         if self._style == "costs":
@@ -374,7 +375,6 @@ class _Writer:
             goals.append(f"(preference rosa-soft-{number} {goal.text})")
         parts = [
             "(define (problem rosa) (:domain rosa)",
-            self._objects(":objects", domain.types.keys() - domain.constants),
             "(:init " + "\n  ".join(facts) + ")",
             f"(:goal (and {' '.join(goals)}))",
             f"(:metric minimize {self._metric()})",
@@ -407,11 +407,6 @@ class _Writer:
         computed = self._domain.computed
         return {text: exact(n) for text, n in values.items() if head_of(text) not in computed}
 
-    def _objects(self, section: str, names: Collection[str]) -> str:
-        kinds, types = self._domain.kinds, self._domain.types
-        words = [f"{name} - {kinds[types[name][0]][0]}" for name in types if name in names]
-        return f"({section} {' '.join(words)})" if words else ""
-
 
 def _lifted(amount: Number) -> Number:
     """Return a ground number in the form of a formula."""
@@ -423,39 +418,10 @@ def _lifted(amount: Number) -> Number:
     return amount[0], *(_lifted(part) for part in amount[1:])
 
 
-def _fixed(schema: Schema, binding: Binding) -> Schema:
-    """Return an action with fixed arguments."""
-
-    def with_objects(effect: Effect) -> Effect:
-        hidden = {variable for variable, _ in effect.variables}
-        inner = {term: thing for term, thing in binding.items() if term not in hidden}
-        return effect._replace(
-            terms=tuple(bound(effect.terms, inner)),
-            condition=substituted(effect.condition, inner),
-            amount=substituted(effect.amount, inner),
-        )
-
-    def each(formulas: Iterable[Formula]) -> tuple[Formula, ...]:
-        return tuple(substituted(formula, binding) for formula in formulas)
-
-    duration = schema.duration and (*each(schema.duration),)
-    fixed = replace(
-        schema,
-        parameters=(),
-        start=each(schema.start),
-        over_all=each(schema.over_all),
-        end=each(schema.end),
-        duration=duration,  # type: ignore[arg-type]  # two bounds
-    )
-    return fixed.with_effects(with_objects)
-
-
 def merged(schema: Schema, *, has_axioms: bool) -> Schema | None:
     """Return a step beside which nothing else happens as one change; None if it is two."""
     early = schema.start_effects
     if early and has_axioms:
-        return None
-    if any(effect.condition != TRUE or effect.variables for effect in early):
         return None
     added = {(effect.name, effect.terms) for effect in early if effect.kind == "add"}
     late = list[Formula]()
@@ -465,17 +431,18 @@ def merged(schema: Schema, *, has_axioms: bool) -> Schema | None:
     read = names_in(late)
     for effect in schema.end_effects:
         read |= names_in([effect.condition, effect.amount])
-    if read & {effect.name for effect in early}:
-        return None
     lasting = list[Effect]()
     for effect in early:
-        others = [other for other in schema.end_effects if other.name == effect.name]
-        sure = [other for other in others if other.condition == TRUE and not other.variables]
-        if not effect.is_numeric and any(other.terms == effect.terms for other in sure):
-            continue
-        if others and (effect.is_numeric or effect.kind == "add"):
+        if effect.condition != TRUE or effect.variables or effect.name in read:
             return None
-        lasting.append(effect)
+        others = [other for other in schema.end_effects if other.name == effect.name]
+        if effect.is_numeric and others:
+            return None
+        undone = [other for other in others if effect.kind == "add" and other.kind == "delete"]
+        if any(o.terms != effect.terms or o.condition != TRUE or o.variables for o in undone):
+            return None
+        if not undone:
+            lasting.append(effect)
     effects = (*lasting, *schema.end_effects)
     return Schema(schema.name, schema.parameters, (*schema.start, *late), end_effects=effects)
 

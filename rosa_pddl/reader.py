@@ -50,13 +50,18 @@ _CONNECTIVES = ("and", "or", "not", "imply", "when", "forall", "exists")
 _BODIES = (":action", ":durative-action")
 _TIMES = {("at", "start"): "start", ("at", "end"): "end", ("over", "all"): "over_all"}
 # Kairos plans with these, the executor has no notion of them.
-_ONLY_PLANNED = {
-    ":process": "processes change numbers by themselves",
-    ":event": "events happen by themselves",
-    ":constraints": "constraints say what shall hold on the way",
-    "preference": "preferences may be given up; add a soft goal: goals.add(TEXT, worth=COST)",
-    "#t": "numbers change while time passes",
-}
+_ONLY_PLANNED = frozenset(
+    [
+        "continuous-effects",
+        "events",
+        "global-constraints",
+        "object-fluents",
+        "preferences",
+        "processes",
+        "timed-initial-fluents",
+        "trajectory-constraints",
+    ]
+)
 
 T = TypeVar("T")
 Tree: TypeAlias = Any
@@ -399,10 +404,13 @@ def _read(
     import kairos
 
     domain = domain.removeprefix("\ufeff")
+    features = set[str]()
     try:
         checked = kairos.parse_domain(domain, file)
+        features.update(checked.features())
         if problem is not None:
-            kairos.parse_problem(problem.removeprefix("\ufeff"), checked, problem_file)
+            task = kairos.parse_problem(problem.removeprefix("\ufeff"), checked, problem_file)
+            features.update(task.features())
     except kairos.PddlError as error:
         errors = [each for each in error.diagnostics if each.severity is kairos.Severity.ERROR]
         wrong = errors[0]
@@ -413,8 +421,9 @@ def _read(
     if problem is None:
         problem, problem_file = f"(define (problem {root[1][1]}) (:goal ()))", "no problem file"
     tasks = parse(problem.removeprefix("\ufeff"), problem_file)
+    only_planned = ", ".join(sorted(features & _ONLY_PLANNED))
     with _guarded(file):
-        read = _Reader(root, tasks, actions).domain()
+        read = _Reader(root, tasks, actions, only_planned).domain()
     return replace(read, texts=(domain, problem))
 
 
@@ -425,6 +434,7 @@ class _Reader:
     root: Tree
     problem: Tree
     does: Mapping[str, str]
+    only_planned: str
     kinds: dict[str, tuple[str, tuple[str, ...]]] = field(
         default_factory=lambda: {"object": ("object", ("object",))}
     )
@@ -432,14 +442,10 @@ class _Reader:
     types: dict[str, tuple[str, ...]] = field(default_factory=dict)
     places: dict[tuple[str, str], tuple[str, int]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
-    only_planned: str = ""
 
     def domain(self) -> Domain:
         """Read all sections."""
         file, problem_file = (next(words_in(root)).file for root in (self.root, self.problem))
-        for word in (*words_in(self.root), *words_in(self.problem)):
-            if word.lower() in _ONLY_PLANNED:
-                self._forbid_execution(word, _ONLY_PLANNED[word.lower()])
         rules: dict[str, list[Tree]] = {}
         for tree in self.root[2:]:
             if _head(tree) == ":derived":
@@ -453,7 +459,6 @@ class _Reader:
             self.signatures.setdefault(FEASIBLE, feasible)
         self._read_functions()
         self._read_objects(section(self.root, ":constants"))
-        constants = frozenset(self.types)
         self._read_objects(section(self.problem, ":objects"))
         bodies = [tree for tree in self.root[2:] if _head(tree) in _BODIES]
         self._read_rosa_actions([str(tree[1]) for tree in bodies], file)
@@ -465,7 +470,6 @@ class _Reader:
             signatures=self.signatures,
             kinds=self.kinds,
             types=self.types,
-            constants=constants,
             places=self.places,
             oversights=tuple(self.notes),
         )
@@ -494,9 +498,6 @@ class _Reader:
         effects = [effect for schema in domain.schema_of.values() for effect in schema.effects]
         changed = {effect.name for effect in effects if effect.is_numeric}
         return replace(domain, computed=read & changed, compared=read - changed)
-
-    def _forbid_execution(self, word: Word, why: str) -> None:
-        self.only_planned = self.only_planned or f"{word.file}:{word.line}: {why}"
 
     # ------------------------------------------------------------ names
 
@@ -531,14 +532,9 @@ class _Reader:
         self.signatures.setdefault(_head(tree), signature)
 
     def _read_functions(self) -> None:
-        is_type = False
         for tree in section(self.root, ":functions"):
             if isinstance(tree, tuple):
                 self._declare_signature(tree, is_number=True)
-            elif is_type and tree.lower() != "number":
-                why = f"the value of a function is a {tree}; write a predicate with one more"
-                self._forbid_execution(tree, f"{why} argument")
-            is_type = tree == "-"
 
     def _read_objects(self, trees: Iterable[Tree]) -> None:
         for name, kind in typed(trees):
@@ -638,9 +634,6 @@ class _Reader:
         elif head == "at" and isinstance(tree[1], str) and _NUMBER.fullmatch(tree[1].lower()):
             is_true = _head(tree[2]) != "not"
             inner = tree[2] if is_true else tree[2][1]
-            if _head(inner) == "=":
-                self._forbid_execution(tree[0], "numbers change by themselves")
-                return
             atom = text_of(formulas.atom(inner, {}, changes=True))
             timed.append(TimedFact(float(tree[1]), atom, is_true))
         elif head == "=":

@@ -237,10 +237,6 @@ class RetryBackoff:
         """Forget the failures."""
         self._failed.pop(what, None)
 
-    def clear(self) -> None:
-        """Forget all failures."""
-        self._failed.clear()
-
     def end_pauses(self) -> None:
         """End all pauses, but keep the counts."""
         self._failed = {what: (count, -inf) for what, (count, _) in self._failed.items()}
@@ -494,11 +490,6 @@ class Replanning:
         self.left_out: tuple[Goal, ...] = ()
         self._is_last_try = False
         self.records: tuple[PlanRecord, ...] = ()
-
-    def reset_backoff(self) -> None:
-        """Forget the time of the last request, and all failures."""
-        self._last_asked_s = -inf
-        self.backoff.clear()
 
     @property
     def hard(self) -> tuple[Goal, ...]:

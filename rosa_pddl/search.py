@@ -84,12 +84,11 @@ class Graph(Protocol[S, T]):
 
 
 class Path(NamedTuple, Generic[S, T]):
-    """A cheapest path with its cost and usage; `expanded` labels proved it."""
+    """A cheapest path with its cost and usage."""
 
     moves: tuple[Move[S, T], ...]
     cost: Any
     uses: tuple[Any, ...]
-    expanded: int
 
 
 class _Label(NamedTuple, Generic[S, T]):
@@ -123,16 +122,15 @@ def cheapest(
     queue = [(graph.least(start)[0], first.spent[1:], 0, first)]
     expanded: dict[S, list[tuple[Any, ...]]] = {}
     latest: dict[S, tuple[Any, ...]] = {}
-    looked_at = pushed = labels = 0
+    looked_at = pushed = 0
     while queue:
         _, uses, _, label = heappop(queue)
         front = expanded.setdefault(label.state, [])
         if _is_dominated(uses, front):
             continue
         if graph.is_goal(label.state):
-            return Path(_moves(label), label.spent[0], uses, labels)
+            return Path(_moves(label), label.spent[0], uses)
         front[:] = [uses, *(other for other in front if not _is_dominated(other, [uses]))]
-        labels += 1
         go_on()
         for move in graph.moves(label.state):
             looked_at += 1

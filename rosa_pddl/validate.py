@@ -390,10 +390,21 @@ def flaw(
     """
     listed = tuple(steps)
     ends_s = ends_s or tuple(accumulate(takes_s(domain, step, state) for step in listed))
-    events = one_after_the_other(len(listed))
-    wrong, facts = replay(domain, listed, events, state, until=until, ends_s=ends_s)
+    return _judged(domain, listed, one_after_the_other(len(listed)), state, goals, until, ends_s)
+
+
+def _judged(
+    domain: Domain,
+    steps: Sequence[Step],
+    planned: Iterable[Sequence[StepEvent]],
+    state: State,
+    goals: Iterable[Formula] | None,
+    until: Mapping[str, float] | None,
+    ends_s: Sequence[float],
+) -> str | None:
+    wrong, facts = replay(domain, steps, planned, state, until=until, ends_s=ends_s)
     if wrong is None and not goal_holds(domain, facts, goals):
-        return "the rest of the plan does not reach the goal"
+        return "the plan does not reach the goal"
     return wrong
 
 
@@ -413,10 +424,7 @@ def schedule_flaw(
             return f"{timed.step} takes {timed.duration_s:g} s, which is not its duration"
     steps = [timed.step for timed in schedule]
     ends_s = [timed.end_s for timed in schedule]
-    wrong, facts = replay(domain, steps, moments(schedule), state, until=until, ends_s=ends_s)
-    if wrong is None and not goal_holds(domain, facts, goals):
-        return "the plan does not reach the goal"
-    return wrong
+    return _judged(domain, steps, moments(schedule), state, goals, until, ends_s)
 
 
 def _with_timed_facts(
