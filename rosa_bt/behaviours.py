@@ -292,11 +292,11 @@ class RosaAction(ActionBehaviour, Requester):
 
     Override `update`, and `initialise` and `terminate` if needed; they need not call the base's.
     The action is requested before `initialise` and released once, after `terminate`. The result of
-    the
-    request follows from how the behaviour ends: SUCCESS is "completed", FAILURE or an exception is
-    "failed", an interruption or the shutdown of the tree is "abandoned". If the request is refused,
-    the behaviour fails with the reason, and nothing of the subclass is called. If the action
-    becomes unfeasible while it runs, it is "abandoned", and the behaviour fails with the reason.
+    the request follows from how the behaviour ends: SUCCESS is "completed", FAILURE or an exception
+    is "failed", an interruption or the shutdown of the tree is "abandoned". If the request is
+    refused, the behaviour fails with the reason, and nothing of the subclass is called. If the
+    action becomes unfeasible while it runs, it is "abandoned", and the behaviour fails with the
+    reason.
 
     An action that can go on where it was also overrides `save_progress` and `restore_progress`; one
     that needs time to stop overrides `halting`.

@@ -155,9 +155,6 @@ def feasible_then_act(task: Behaviour, during: float = 0.0) -> Behaviour:
             and in a subtree its leaves do.
         during: how long the action takes [s]; see `IsActionFeasible`.
     """
-    if not isinstance(task, Behaviour):
-        advice = "of several tasks, make one by a composite of py_trees"
-        raise TypeError(f"a task is a behaviour of py_trees, not {task!r}; {advice}")
     if not isinstance(task, RosaAction):
         if not during:
             return task

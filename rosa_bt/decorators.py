@@ -31,9 +31,8 @@ class ForAction(GuardedBehaviour, Requester, Decorator):
 
     Each tick asks whether the action is feasible. If it is not, the child is stopped, and this
     fails with the reason. Otherwise the action is requested when the child starts, and released
-    once,
-    however the child ends: the result is "completed" after SUCCESS, "failed" after FAILURE or an
-    exception (its text is the feedback), else "abandoned".
+    once, however the child ends: the result is "completed" after SUCCESS, "failed" after FAILURE or
+    an exception (its text is the feedback), else "abandoned".
 
     Args:
         action: name of the ROSA action.

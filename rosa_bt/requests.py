@@ -1,8 +1,8 @@
 """Who has requested which action, what still halts, and what interrupted actions saved.
 
 All of this belongs to a knowledge base and not to behaviours, because behaviours come and go: a
-    tree
-switches between two behaviours that do the same action, and a plan makes a new one for each step.
+tree switches between two behaviours that do the same action, and a plan makes a new one for each
+step.
 """
 
 import json

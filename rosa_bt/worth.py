@@ -2,10 +2,9 @@
 
 A mission states what its actions gain and which detours there are. From the forecasts of the
 knowledge base follows how long the levels last, so each time to leave has a value until the
-deadline. If leaving now is worth most, the
-actions that the detour interrupts are put off: they are asserted to be unfeasible, with the reason,
-    so that every task
-layer, explanation and replay sees it. No action becomes feasible in this way.
+deadline. If leaving now is worth most, the actions that the detour interrupts are put off: they are
+asserted to be unfeasible, with the reason, so that every task layer, explanation and replay sees
+it. No action becomes feasible in this way.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -16,7 +16,6 @@ from rosa_bt.exceptions import RosaBtError, hint
 from rosa_bt.xml.values import (
     CASTS,
     EMPTY,
-    ScriptError,
     Value,
     converted,
     is_number,
@@ -52,12 +51,6 @@ class Entry:
         self.value = value
         self.version += 1
 
-    def read(self, text: str) -> Value:
-        """Return a text of a script as the declared type."""
-        if self.declared is Status:
-            raise ScriptError(f"a script cannot write {text!r} to an entry for an outcome")
-        return converted(text, self.declared)
-
     def take(self, value: Value) -> None:
         """Write a value from the program or a port, as the declared type.
 
@@ -83,8 +76,7 @@ class Blackboard(MutableMapping[str, Any]):
     """The blackboard of one SubTree; other trees share entries with it through remapped keys only.
 
     A key is looked up in this order: `@key` in the blackboard of the main tree; among the constants
-        of
-    the SubTree element; under its remapped name in the blackboard of the parent tree; with
+    of the SubTree element; under its remapped name in the blackboard of the parent tree; with
     autoremapping under its own name there, unless it begins with an underscore; in this blackboard.
     As a mapping, it does not contain empty entries.
 

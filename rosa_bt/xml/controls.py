@@ -407,9 +407,7 @@ class RunOnce(OneChild):
             verdict = yield from self.child.tick()
             self._outcome = verdict if verdict in DONE else SKIPPED
             return verdict
-        with suppress(PortError):  # anything but a bool counts as true
-            return SKIPPED if self.ports.get("then_skip") else self._outcome
-        return SKIPPED
+        return SKIPPED if self.ports.get("then_skip") else self._outcome
 
 
 class Timed(OneChild, is_node=False):

@@ -74,8 +74,7 @@ def parse(text: str | bytes, file: str, note: Note) -> Element:
     """Return the outermost element.
 
     A text that BehaviorTree.CPP reads, though it is no XML, is read with a note: raw `&&` and `<`
-        in
-    attributes, `--` in comments, and blanks before the declaration.
+    in attributes, `--` in comments, and blanks before the declaration.
     """
     if len(text) > MAX_SIZE:
         raise XmlError(file, f"it has more than {MAX_SIZE} bytes; divide it and include the parts")

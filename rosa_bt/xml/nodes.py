@@ -1,10 +1,9 @@
 """The base classes of BehaviorTree.CPP's nodes, the slot that holds a child, and the leaves.
 
 A behaviour of py_trees has one status. BehaviorTree.CPP needs more: a child that has finished stays
-    finished until its
-parent resets it, a skipped node is idle, and only a RUNNING node is halted. A `Slot` keeps this
-status for each child, so that the children can be plain behaviours of py_trees. SKIPPED and IDLE
-are INVALID here, since py_trees has no other status for them.
+finished until its parent resets it, a skipped node is idle, and only a RUNNING node is halted. A
+`Slot` keeps this status for each child, so that the children can be plain behaviours of py_trees.
+SKIPPED and IDLE are INVALID here, since py_trees has no other status for them.
 """
 
 from collections.abc import Generator, Iterator, Mapping, Sequence

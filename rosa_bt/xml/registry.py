@@ -243,10 +243,8 @@ class BehaviourRegistry:
             factory: the class or function, which is returned as it is; without it, a decorator is
                 returned.
             kind: "condition" for a leaf that is ticked again after it has finished, even if it was
-                not reset; "action" for a leaf that is not. Without it, the file decides
-                (`<Condition ID=...>` or its TreeNodesModel), or
-                else the class: without `initialise` and `terminate` of its own, it makes
-                    conditions.
+                not reset; "action" for a leaf that is not. Without it, the file decides, or else
+                the class: without `initialise` and `terminate` of its own, it makes conditions.
 
         Raises:
             RegistryError: the name is taken, or an argument is of a wrong kind.
@@ -260,10 +258,6 @@ class BehaviourRegistry:
             problem = f"{name!r} is a node of BehaviorTree.CPP itself; choose another name"
         elif name in self.entries and name not in self._own:
             problem = f"{name!r} is registered already; choose another name"
-        elif not callable(factory):
-            problem = f"{name!r} is a class or a function that makes a behaviour, not {factory!r}"
-        elif kind not in (None, "action", "condition"):
-            problem = f"a leaf is an 'action' or a 'condition', not {kind!r}"
         if problem:
             raise RegistryError(problem)
         self._own.pop(name, None)

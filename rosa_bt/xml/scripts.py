@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
+from py_trees.common import Status
+
 from rosa_bt.xml.blackboard import Blackboard
 from rosa_bt.xml.values import (
     EMPTY,
@@ -16,6 +18,7 @@ from rosa_bt.xml.values import (
     Value,
     as_text,
     begun,
+    converted,
     double,
     fit,
     is_number,
@@ -122,8 +125,10 @@ class _Run:
             value = fit(value, before)
         elif entry.declared is None:
             value = self._number(value)
+        elif entry.declared is Status:
+            raise ScriptError(f"a script cannot write {value!r} to an entry for an outcome")
         else:
-            value = entry.read(value)
+            value = converted(value, entry.declared)
         entry.put(value)
         return value
 

@@ -53,11 +53,11 @@ def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None) 
     """Write a tree as XML of BehaviorTree.CPP 4.
 
     It writes trees from `load_xml`, also changed ones, and trees of behaviours that mean the same:
-        Sequence and Selector (with and without memory), Inverter, FailureIsSuccess,
-    SuccessIsFailure, Success, Failure, our Timer, Timeout and Delay, and leaves that need no
-    arguments but a name, a knowledge base and the action. The idioms are written as the nodes that
-    they consist of; ForAction, UntilSuccess, Retry, DoUntilUnfeasible and SafeSwitch are in every
-    registry with a knowledge base. The contents of blackboards are not written.
+    Sequence and Selector (with and without memory), Inverter, FailureIsSuccess, SuccessIsFailure,
+    Success, Failure, our Timer, Timeout and Delay, and leaves that need no arguments but a name, a
+    knowledge base and the action. The idioms are written as the nodes that they consist of;
+    ForAction, UntilSuccess, Retry, DoUntilUnfeasible and SafeSwitch are in every registry with a
+    knowledge base. The contents of blackboards are not written.
 
     Args:
         behaviour: the root of the tree.
