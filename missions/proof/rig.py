@@ -153,20 +153,17 @@ class Rig(VisitorBase):
             return Leaf("FS")
         if not isinstance(leaf, RosaAction):
             return Leaf()
-        changed = self._restored(leaf.action)
-        for action in self.setup.causes.enables.get(leaf.action, ()):
-            changed |= {limit.attribute for limit in self.kb.actions[action].constraints}
-        environment = self.environment
+        values = self.environment.values
         met = {
-            name: min(environment.values[name], key=environment.violated(name))
-            for name in environment.values
-            if name in changed
+            name: min(values[name], key=self.environment.violated(name))
+            for name in self._restored(leaf.action)
         }
         return Leaf(effects={"S": met} if met else {})
 
     def _restored(self, action: str) -> set[str]:
-        """Return the attributes that an action restores, as the model says."""
-        return {element.name for element in self.kb.model.actions[action].restores}
+        """Return the attributes that change which an action restores, as the model says."""
+        restores = self.kb.model.actions[action].restores
+        return {element.name for element in restores} & self.environment.values.keys()
 
     def _answer(self, leaf: Behaviour, says: Leaf, own: Callable[[], object] | None) -> Status:
         if own is not None:
@@ -396,9 +393,8 @@ class Rig(VisitorBase):
         actions = self.kb.actions
         limits = {limit.attribute for name in wanted for limit in actions[name].constraints}
         own = {limit.attribute for limit in actions[action].constraints}
-        enabled = self.setup.causes.enables.get(action, set[str]())
-        helps = enabled & wanted or self._restored(action) & limits
-        return action not in wanted and bool(helps or any(map(self.is_quality, limits - own)))
+        is_freer = any(self.is_quality(name) for name in limits - own)
+        return action not in wanted and (is_freer or bool(self._restored(action) & limits))
 
 
 def acting(nodes: Iterable[Behaviour]) -> list[Any]:
