@@ -5,7 +5,7 @@ Also where py_trees has nodes of the same name.
 
 from contextlib import suppress
 from types import GenericAlias
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -407,9 +407,7 @@ class RunOnce(OneChild):
             verdict = yield from self.child.tick()
             self._outcome = verdict if verdict in DONE else SKIPPED
             return verdict
-        with suppress(PortError):  # anything but a bool counts as true
-            return SKIPPED if self.ports.get("then_skip") else self._outcome
-        return SKIPPED
+        return SKIPPED if self.ports.get("then_skip") else self._outcome
 
 
 class Timed(OneChild, is_node=False):
@@ -546,7 +544,7 @@ class Loop(OneChild, is_node=False):
         return FAILURE if verdict is FAILURE else RUNNING
 
 
-_LOOPS: Final = {"Int": int, "Double": float, "Bool": bool, "String": str}
+_LOOPS = {"Int": int, "Double": float, "Bool": bool, "String": str}
 for _name, _kind in _LOOPS.items():
     _queue = {"queue": port(object), "value": port(_kind, required=False)}
     type(f"Loop{_name}", (Loop,), {"PORTS": {**_queue, "if_empty": port(Status, SUCCESS)}})

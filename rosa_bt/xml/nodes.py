@@ -1,15 +1,14 @@
 """The base classes of BehaviorTree.CPP's nodes, the slot that holds a child, and the leaves.
 
 A behaviour of py_trees has one status. BehaviorTree.CPP needs more: a child that has finished stays
-    finished until its
-parent resets it, a skipped node is idle, and only a RUNNING node is halted. A `Slot` keeps this
-status for each child, so that the children can be plain behaviours of py_trees. SKIPPED and IDLE
-are INVALID here, since py_trees has no other status for them.
+finished until its parent resets it, a skipped node is idle, and only a RUNNING node is halted. A
+`Slot` keeps this status for each child, so that the children can be plain behaviours of py_trees.
+SKIPPED and IDLE are INVALID here, since py_trees has no other status for them.
 """
 
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -23,14 +22,14 @@ from rosa_bt.xml.blackboard import Blackboard, Declared, Entry, Ports
 from rosa_bt.xml.scripts import parse_script
 from rosa_bt.xml.values import EMPTY, as_text, truth
 
-SUCCESS: Final = Status.SUCCESS
-FAILURE: Final = Status.FAILURE
-RUNNING: Final = Status.RUNNING
-SKIPPED: Final = Status.INVALID
-DONE: Final = (SUCCESS, FAILURE)
-MAX_NODES: Final = 10_000
+SUCCESS = Status.SUCCESS
+FAILURE = Status.FAILURE
+RUNNING = Status.RUNNING
+SKIPPED = Status.INVALID
+DONE = (SUCCESS, FAILURE)
+MAX_NODES = 10_000
 """Most nodes in one tree with all its subtrees, and so also most children of a node."""
-ROUNDING_S: Final = 1e-9
+ROUNDING_S = 1e-9
 
 Ticking = Generator[Behaviour, None, Status]
 """Yields the nodes that are visited, as `tick` of py_trees does, and returns the outcome."""
@@ -40,9 +39,9 @@ class NodeError(RosaBtError, RuntimeError):
     """A node cannot do what it is given; BehaviorTree.CPP throws a LogicError in this case."""
 
 
-INSTEAD: Final = {"_failureIf": FAILURE, "_successIf": SUCCESS, "_skipIf": SKIPPED}
+INSTEAD = {"_failureIf": FAILURE, "_successIf": SUCCESS, "_skipIf": SKIPPED}
 """Pre-conditions that are asked before a node starts, with its outcome if they hold."""
-RULES: Final = (*INSTEAD, "_while", "_onHalted", "_onFailure", "_onSuccess", "_post")
+RULES = (*INSTEAD, "_while", "_onHalted", "_onFailure", "_onSuccess", "_post")
 
 
 class Rules:
@@ -137,7 +136,7 @@ def port(data_type: Any, default: object = None, *, required: bool = True) -> Po
     return PortInformation(data_type, required, "", default)
 
 
-NODES: Final[dict[str, type["Named"]]] = {}
+NODES: dict[str, type["Named"]] = {}
 """The nodes of BehaviorTree.CPP and Nav2 by their tags, but for SubTree."""
 
 
