@@ -21,7 +21,6 @@ from kb.exceptions import AmbiguousName, InvalidValue, ModelError, UnknownName
 from kb.status import OPERATORS, STATUSES, Status
 
 ChoiceT = TypeVar("ChoiceT", bound=StrEnum)
-ElementT = TypeVar("ElementT", bound="Element")
 T = TypeVar("T")
 Parameter = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 Parameters = Mapping[str, Parameter]
@@ -319,26 +318,13 @@ class Owner(Protocol):
     @property
     def facts(self) -> tuple["Fact", ...]: ...
     def change(self, element: "Changeable | str", **fields: object) -> None: ...
-    def declare(
-        self,
-        cls: type[ElementT],
-        name: str,
-        constraints: Iterable["Expression"] = (),
-        /,
-        **stated: object,
-    ) -> ElementT: ...
     def constrain_all(
         self, elements: Iterable["Constrainable"], constraints: Iterable["Expression"]
     ) -> tuple["Constraint", ...]: ...
-    def add_estimation(
-        self,
-        causer: "Estimable",
-        attribute: "Attribute | str",
-        value: float,
-        kind: EstimationKind | str = "positive",
-    ) -> "Estimation": ...
     def add_fact(self, fact: "Fact") -> None: ...
-    def state(self, cls: type, values: Mapping[str, Any]) -> "Changeable | None": ...
+    def state(
+        self, cls: type[T], values: Mapping[str, Any], constraints: Iterable["Expression"] = ()
+    ) -> T: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -455,7 +441,8 @@ class _Estimable(_Constrainable):
             value: how much, in the attribute's unit.
             kind: "positive" adds, "negative" takes away, "absolute" sets.
         """
-        self.model.add_estimation(self, attribute, value, kind)  # type: ignore[arg-type]  # a subclass is one of three
+        stated = {"causer": self, "attribute": attribute, "value": value, "kind": kind}
+        self.model.state(Estimation, stated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -592,8 +579,8 @@ class Component(_Estimable):
 
         The lowest priority number is tried first.
         """
-        stated = {"component": self, "parameters": parameters or {}, "priority": priority}
-        return self.model.declare(Configuration, name, constraints, **stated)
+        stated = {"name": name, "component": self, "parameters": parameters or {}}
+        return self.model.state(Configuration, {**stated, "priority": priority}, constraints)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -623,8 +610,8 @@ class Function(Element):
 
         The lowest priority number is tried first.
         """
-        stated = {"function": self, "components": components, "priority": priority}
-        return self.model.declare(FunctionDesign, name, constraints, **stated)
+        stated = {"name": name, "function": self, "components": components, "priority": priority}
+        return self.model.state(FunctionDesign, stated, constraints)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -739,9 +726,9 @@ def exact(value: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class MeasurementFact:
-    """An attribute had a value, in its unit; a value that is not the latest one goes to the history only.
+    """An attribute had a value, in its unit; one that is not the latest goes to the history only.
 
-    The time of measurement is in s since 1970-01-01 UTC; None stands for the time when the knowledge base is made.
+    The time is in s since 1970-01-01 UTC; None stands for when the knowledge base is made.
     """
 
     attribute: str
@@ -781,9 +768,10 @@ class ActiveFact:
 
 @dataclass(frozen=True, slots=True)
 class RequiredActionFact:
-    """An action was requested, with the weight of each attribute to favour; without an end it is still required.
+    """An action was requested, with the weight of each attribute to favour.
 
-    Start and end are times [s since 1970-01-01 UTC]; a start of None is the time when the knowledge base is made.
+    Without an end it is still required. Start and end are times [s since 1970-01-01 UTC]; a start
+    of None is the time when the knowledge base is made.
     """
 
     action: str
@@ -795,7 +783,7 @@ class RequiredActionFact:
 
 @dataclass(frozen=True, slots=True)
 class ProcessFact:
-    """A component ran, or runs, as a process of the operating system; times as in `RequiredActionFact`."""
+    """A component ran, or runs, as a process; times as in `RequiredActionFact`."""
 
     component: str
     pid: int
@@ -805,7 +793,7 @@ class ProcessFact:
 
 @dataclass(frozen=True, slots=True)
 class PlanFact:
-    """A reconfiguration plan was made; names as in `ReconfigurationPlan`, times as in `RequiredActionFact`."""
+    """A reconfiguration plan was made; times as in `RequiredActionFact`."""
 
     activate: tuple[str, ...] = ()
     deactivate: tuple[str, ...] = ()

@@ -343,23 +343,15 @@ def why_selected(
     if given:
         reasons.append(given)
     is_explained = bool(reasons)
-    inactive = []
     for component in state.inactive_required():
-        if not any(_stays(state, design, chosen) for design in state.users(component)):
+        text = state.reason("active", component).text
+        if not text and is_explained:
             continue
-        reason = state.reason("active", component).text
-        if reason:
-            needed_by = _needed_by(state, component)
-            reasons.append(f"{reason}; {component.name} is needed by {needed_by}")
-        else:
-            inactive.append(component)
-    if inactive and not is_explained:
-        are = "is" if len(inactive) == 1 else "are"
-        names = " and ".join(_first(component.name for component in inactive))
-        needed_by = _needed_by(state, inactive[0])
-        reasons.append(f"{names} {are} not active, and {are} needed by {needed_by}")
+        if any(_stays(state, design, chosen) for design in state.users(component)):
+            start = f"{text}; {component.name}" if text else f"{component.name} is not active, and"
+            reasons.append(f"{start} is needed by {_needed_by(state, component)}")
     reasons = reasons or [*ended, "what was active or selected is no longer needed"]
-    return "; ".join(dict.fromkeys(reasons))
+    return "; ".join(_first(reasons))
 
 
 def _stays(state: State, design: Node, chosen: Sequence[Node]) -> bool:

@@ -157,17 +157,15 @@ def _type_of(label: Token, place: Place) -> Type:
 @cache
 def meanings(label: str, table: str, kind: str) -> list[str]:
     """Return the roles or attributes of a kind of thing that a label means by its ending."""
-    plural = f"-{label.replace('_', '-').lower()}"
-    lengths: dict[str, int] = {}
-    for name, row in WORDS[table].get(kind, {}).items():
-        fitting = [
-            len(word)
-            for word in row["words"].split()
-            if plural.endswith(f"-{word}") or plural.endswith(f"-{word}s")
-        ]
-        lengths[name] = max(fitting, default=0)
-    longest = max(lengths.values(), default=0)
-    return [name for name, length in lengths.items() if length == longest > 0]
+    ending = f"-{label.replace('_', '-').lower()}"
+    fitting = [
+        (len(word), name)
+        for name, row in WORDS[table].get(kind, {}).items()
+        for word in row["words"].split()
+        if ending.endswith((f"-{word}", f"-{word}s"))
+    ]
+    longest, _ = max(fitting, default=(0, ""))
+    return list(dict.fromkeys(name for length, name in fitting if length == longest))
 
 
 # ---------------------------------------------------------------- things
@@ -376,37 +374,36 @@ def load_typeql(
     cls: "Callable[[str], ModelT]", files: Sequence[Path], name: str | None
 ) -> "ModelT":
     """Read one model from files; each may add to those before it. See `Model.load`."""
-    things = Things()
+    things = _Builder()
     for file in files:
         for query in parse(read_text(file), str(file)):
             things.insert(query, str(file))
     things.complete()
     names = [thing.name for thing in things.by_kind["robot-model"]]
     model = cls(name or [*names, files[0].stem][0])
-    _Builder(model, things).build()
+    things.build(model)
     model.notes.extend(things.notes)
     return model
 
 
-class _Builder:
+class _Builder(Things):
     """Builds a model from things."""
 
-    def __init__(self, model: elements.Owner, things: Things) -> None:
-        self._model = model
-        self._things = things
+    def __init__(self) -> None:
+        super().__init__()
         self._elements: dict[Thing, Any] = {}
 
-    def build(self) -> None:
+    def build(self, model: elements.Owner) -> None:
         for cls, kind in _CLASSES.items():
-            for thing in self._things.by_kind[kind]:
+            for thing in self.by_kind[kind]:
                 with thing.place.blamed():
                     for values in self._fields(cls, thing):
-                        element: Any = self._model.state(cls, values)
+                        element: Any = model.state(cls, values)
                         self._elements[thing] = element
-                        self._model.places[element] = str(thing.place)
+                        model.places[element] = str(thing.place)
         for fact, place in self._facts():
             with place.blamed():
-                self._model.add_fact(fact)
+                model.add_fact(fact)
 
     def _fields(self, cls: type, thing: Thing) -> Iterator[dict[str, Any]]:
         """Yield the fields of the elements that a thing describes: one, or more estimations."""
@@ -425,7 +422,7 @@ class _Builder:
         if cls is Configuration:
             values["parameters"] = _parameters(thing)
         elif cls is elements.Action:
-            requirements = self._things.by_kind["functional-requirement"]
+            requirements = self.by_kind["functional-requirement"]
             required = [each for each in requirements if thing in each.players["action"]]
             values["functions"] = [
                 name for each in required for name in each.names("required-function")
@@ -455,7 +452,7 @@ class _Builder:
                 for fact in self._stated(thing, element, name, own):
                     yield fact, own.place
         yield from self._measurements()
-        for thing in self._things.by_kind["required-action"]:
+        for thing in self.by_kind["required-action"]:
             preferred: list[str] = []
             for player in thing.players["preferred-attribute"]:
                 is_estimation = player.kind == "estimation"
@@ -464,13 +461,13 @@ class _Builder:
                 weights = dict.fromkeys(preferred, 1.0) or None
                 request = elements.RequiredActionFact(action, weights, **self._period(thing))
                 yield request, thing.place
-        for thing in self._things.by_kind["component-process"]:
+        for thing in self.by_kind["component-process"]:
             if "pid" in thing.owns:
                 for component in thing.names("component"):
                     period = (thing.value("start"), thing.value("end"))
                     process = elements.ProcessFact(component, thing.value("pid"), *period)
                     yield process, thing.place
-        for thing in self._things.by_kind["reconfiguration-plan"]:
+        for thing in self.by_kind["reconfiguration-plan"]:
             steps: dict[str, Any] = {name: tuple(self._steps(thing, name)) for name in _STEPS}
             yield elements.PlanFact(**steps, **self._period(thing)), thing.place
 
@@ -492,16 +489,16 @@ class _Builder:
                 unknown = UnknownName(
                     f"status of a {thing.type.label}", own.value, map(str, statuses)
                 )
-                self._things.note(own.place, f"{unknown}; not asserted")
+                self.note(own.place, f"{unknown}; not asserted")
 
     def _measurements(self) -> Iterator[tuple[Fact, Place]]:
         """Yield all measurements; the latest of an attribute is as stated, else the newest one."""
         measured: dict[str, list[Thing]] = defaultdict(list)
-        for thing in self._things.by_kind["measurement"]:
+        for thing in self.by_kind["measurement"]:
             thing.required("value")
             for name in thing.names("measured-attribute"):
                 measured[name].append(thing)
-        for thing in self._things.by_kind["attribute"]:
+        for thing in self.by_kind["attribute"]:
             if "value" in thing.owns:
                 measured[thing.name].append(thing)
         for name, things in measured.items():
@@ -534,9 +531,7 @@ class _Builder:
         if word and not result:
             result = "abandoned"
             options = "there are completed, failed, abandoned"
-            self._things.note(
-                thing.place, f"{word!r} is not a result, and is read as {result}; {options}"
-            )
+            self.note(thing.place, f"{word!r} is not a result, and is read as {result}; {options}")
         return {"start": thing.value("start"), "end": thing.value("end"), "result": result}
 
 

@@ -1,7 +1,7 @@
 """The idioms of missions that adapt: two composites, and subtrees that are made in one call."""
 
 from collections.abc import Generator, Iterator, Mapping, MutableMapping, Sequence
-from typing import Any, Final
+from typing import Any
 
 from py_trees import composites
 from py_trees.behaviour import Behaviour
@@ -98,7 +98,7 @@ class DoUntilUnfeasible(_RoleComposite):
 
 LastAction = MutableMapping[str, Any]
 """Holds the action that was done last; shared by the behaviours of all actions."""
-_LAST: Final = "last_action"
+_LAST = "last_action"
 
 
 class SafeSwitch(_RoleComposite):
@@ -155,9 +155,6 @@ def feasible_then_act(task: Behaviour, during: float = 0.0) -> Behaviour:
             and in a subtree its leaves do.
         during: how long the action takes [s]; see `IsActionFeasible`.
     """
-    if not isinstance(task, Behaviour):
-        advice = "of several tasks, make one by a composite of py_trees"
-        raise TypeError(f"a task is a behaviour of py_trees, not {task!r}; {advice}")
     if not isinstance(task, RosaAction):
         if not during:
             return task

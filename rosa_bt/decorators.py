@@ -7,7 +7,6 @@ tree; in a tree without one, by the monotonic clock of this computer.
 import math
 import time
 from collections.abc import Callable, Generator, Iterator
-from typing import Final
 
 import py_trees.decorators
 import py_trees.timers
@@ -31,9 +30,8 @@ class ForAction(GuardedBehaviour, Requester, Decorator):
 
     Each tick asks whether the action is feasible. If it is not, the child is stopped, and this
     fails with the reason. Otherwise the action is requested when the child starts, and released
-    once,
-    however the child ends: the result is "completed" after SUCCESS, "failed" after FAILURE or an
-    exception (its text is the feedback), else "abandoned".
+    once, however the child ends: the result is "completed" after SUCCESS, "failed" after FAILURE or
+    an exception (its text is the feedback), else "abandoned".
 
     Args:
         action: name of the ROSA action.
@@ -217,7 +215,7 @@ class Retry(Timed, py_trees.decorators.Retry):
         return new_status
 
 
-_BY_CLOCK: Final[dict[type[Behaviour], type[Behaviour]]] = {
+_BY_CLOCK: dict[type[Behaviour], type[Behaviour]] = {
     py_trees.timers.Timer: Timer,
     py_trees.decorators.Timeout: Timeout,
 }

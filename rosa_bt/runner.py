@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from typing import Any, Final, Literal
+from typing import Any, Literal
 from weakref import WeakSet
 
 from py_trees.behaviour import Behaviour
@@ -23,9 +23,9 @@ from rosa_bt.requests import advance_halting, end_halting, forget_progress, requ
 _log = logging.getLogger(__name__)
 Handler = Callable[[BehaviourTree], None]
 
-_HARMLESS: Final = frozenset({Failure, Running, Selector, Sequence, Success})
+_HARMLESS = frozenset({Failure, Running, Selector, Sequence, Success})
 """Classes that raise nothing; their subclasses may."""
-_CAREFUL: Final = (KbBehaviour, RosaAction, ForAction)
+_CAREFUL = (KbBehaviour, RosaAction, ForAction)
 """Classes that handle exceptions, unless a subclass overrides that."""
 
 
@@ -277,21 +277,16 @@ class TreeRunner:
     ) -> None:
         if not period > 0:
             raise ValueError(f"the period of a tree is more than 0 s, not {period!r}")
-        if not callable(clock):
-            advice = "give a function without arguments, such as time.monotonic"
-            raise TypeError(
-                f"the clock of a tree gives the time [s], and {clock!r} cannot; {advice}"
-            )
-        _check_choice("on_error", on_error, ("fail", "raise"))
-        _check_choice("on_clock_set_back", on_clock_set_back, ("follow", "refuse"))
         self._clock = clock
         self._period = period
-        self._refuses = on_clock_set_back == "refuse"
+        self._refuses = {"follow": False, "refuse": True}[on_clock_set_back]
         self._start = self._now = clock()
         self._set_back_s = 0.0
         self._ticks = 0
         self._is_stopped = False
-        self.tree = GuardedTree(root, self._tree_time, raises=on_error == "raise")
+        self.tree = GuardedTree(
+            root, self._tree_time, raises={"fail": False, "raise": True}[on_error]
+        )
         self._forget_progress(keeps_earlier=True)
 
     def _repr_svg_(self) -> str:
@@ -378,8 +373,3 @@ class TreeRunner:
         for action in self.tree.root.iterate():
             if isinstance(action, RosaAction) and not (is_shut_down and action.kb.store):
                 forget_progress(action.kb, action.name, keeps_earlier=keeps_earlier)
-
-
-def _check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
-    if value not in choices:
-        raise ValueError(f"{name} is {' or '.join(map(repr, choices))}, not {value!r}")

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from threading import get_ident
-from typing import Any, Final, NamedTuple, Self, TextIO
+from typing import Any, NamedTuple, Self, TextIO
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -27,8 +27,8 @@ from rosa_bt.behaviours import KbBehaviour, halt
 from rosa_bt.exceptions import TraceError
 from rosa_bt.runner import TreeRunner
 
-_VERSION: Final = 3
-_CAUSED_BY_TIME: Final = ("stale", "dwell", "lapse")
+_VERSION = 3
+_CAUSED_BY_TIME = ("stale", "dwell", "lapse")
 
 
 class Node(NamedTuple):
@@ -129,10 +129,8 @@ class TraceVisitor(VisitorBase):
     """Records every tick: the events before it, and what was ticked with which status.
 
     Add it to the visitors of a tree before the first tick; the trace begins with the first event
-    that the log of the
-    knowledge base still holds. The same run gives the same trace, to the byte. Memory is bounded:
-        it keeps the last
-    ticks; a file keeps all.
+    that the log of the knowledge base still holds. The same run gives the same trace, to the byte.
+    The last ticks are kept in memory; a file keeps all.
 
     Args:
         kb: the knowledge base that the tree uses.
@@ -144,8 +142,6 @@ class TraceVisitor(VisitorBase):
         self, kb: KnowledgeBase, path: str | Path | None = None, *, keep: int = 10_000
     ) -> None:
         super().__init__(full=False)
-        if keep < 1:
-            raise ValueError(f"keep is a number of ticks from 1, not {keep!r}")
         self._kb = kb
         self._file: TextIO | None = None
         if path is not None:
@@ -250,7 +246,7 @@ class TraceVisitor(VisitorBase):
         """Note whether the tree told the event, and why actions became unfeasible with it.
 
         What time causes while a tick is under way is not told by the tree: it is replayed in its
-            place.
+        place.
         """
         if self._thread == get_ident() and event.verb not in _CAUSED_BY_TIME:
             self._own.add(event.number)

@@ -96,7 +96,6 @@ def verify(
     failures: Annotated[
         int, Option(min=0, help="How many components may have failed at once.")
     ] = 1,
-    at_once: Annotated[int, Option(help="How many facts may change between two ticks.")] = 1,
     exclusive: Annotated[
         Texts, Option(metavar="A,B", help="Actions that exclude each other.")
     ] = None,
@@ -114,7 +113,6 @@ def verify(
     setup = setup_of(
         find_mission(mission),
         failures=failures,
-        at_once=at_once,
         exclusive=groups(exclusive),
         most=most,
         seconds=seconds,
@@ -124,7 +122,7 @@ def verify(
     echo(f"{mission}: {proof}")
     rows = [("if for good", "it reaches", "and does meanwhile")]
     for each in proof.consequences:
-        rows.append((" and ".join(each.facts), each.reaches, ", ".join(each.actions)))
+        rows.append((each.fact, each.reaches, ", ".join(each.actions)))
     if len(rows) > 1:
         wide = max(len(facts) for facts, _, _ in rows)
         long = max(len(reaches) for _, reaches, _ in rows)

@@ -9,9 +9,9 @@ elements, and of components that the model does not tell apart, only the first c
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
-from itertools import combinations, pairwise
+from itertools import pairwise
 from math import inf
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from py_trees.behaviour import Behaviour
 
@@ -42,7 +42,7 @@ class Change(NamedTuple):
     """A change: an attribute is measured or stale, a component fails (True) or recovers."""
 
     name: str
-    to: float | bool | str
+    to: Value | bool
 
     def __str__(self) -> str:
         if isinstance(self.to, bool):
@@ -57,16 +57,10 @@ class Change(NamedTuple):
             kb.component_failed(self.name)
         elif self.to is False:
             kb.component_recovered(self.name)
+        elif isinstance(self.to, float):
+            kb.measure(self.name, self.to)
         else:
-            measure(kb, self.name, self.to)
-
-
-def measure(kb: KnowledgeBase, attribute: str, value: Value) -> None:
-    """Measure an attribute, or let it be unknown."""
-    if isinstance(value, float):
-        kb.measure(attribute, value)
-    else:
-        kb.replay(Event(kb.log.last + 1, kb.now, STALE, (attribute,)))
+            kb.replay(Event(kb.log.last + 1, kb.now, STALE, (self.name,)))
 
 
 def without_debouncing(model: Model) -> Model:
@@ -75,11 +69,9 @@ def without_debouncing(model: Model) -> Model:
     Hysteresis, dwell and agreement only delay what is explored anyway.
     """
     for constraint in model.constraints:
-        if constraint.hysteresis or constraint.dwell:
-            model.change(constraint, hysteresis=0.0, dwell=0.0)
+        model.change(constraint, hysteresis=0.0, dwell=0.0)
     for attribute in model.attributes.values():
-        if attribute.agreement != (1, 1):
-            model.change(attribute, agreement=(1, 1))
+        model.change(attribute, agreement=(1, 1))
     return model
 
 
@@ -140,25 +132,23 @@ class Environment:
         return lambda value: len(self.signature(name, value))
 
     def changes(self, facts: Facts) -> Iterator[tuple[tuple[Change, ...], Facts]]:
-        """Yield the sets of changes that can happen next, and the facts after each."""
-        single = []
-        for name, present in facts.values:
-            single += [Change(name, value) for value in self.values[name] if value != present]
+        """Yield what can happen next, beginning with nothing, and the facts after it."""
+        yield (), facts
+        for place, (name, present) in enumerate(facts.values):
+            options: list[Any] = [value for value in self.values[name] if value != present]
             if name in self.ageing and present not in (None, STALE):
-                single.append(Change(name, STALE))
+                options.append(STALE)
+            for value in options:
+                values = [*facts.values]
+                values[place] = (name, value)
+                yield (Change(name, value),), facts._replace(values=tuple(values))
         for group in self.alike:
             down = [name for name in group if name in facts.failed]
             up = [name for name in group if name not in facts.failed]
-            single += [Change(name, False) for name in down[-1:]]
-            single += [Change(name, True) for name in up[:1]]
-        for count in range(self._setup.at_once + 1):
-            for chosen in combinations(single, count):
-                to = dict(chosen)
-                failed = {name for name in facts.failed if to.get(name) is not False}
-                failed |= {name for name in to if to[name] is True}
-                if len(to) == count and len(failed) <= max(self._setup.failures, len(facts.failed)):
-                    values = tuple((name, to.get(name, value)) for name, value in facts.values)
-                    yield chosen, facts._replace(values=values, failed=frozenset(failed))
+            if down:
+                yield (Change(down[-1], False),), facts._replace(failed=facts.failed - {down[-1]})
+            if up and len(facts.failed) < self._setup.failures:
+                yield (Change(up[0], True),), facts._replace(failed=facts.failed | {up[0]})
 
     def _distinct(self, attribute: Attribute) -> tuple[float, ...]:
         """Return values of an attribute, one for each possible signature."""

@@ -30,7 +30,6 @@ from missions.proof.environment import (
     Change,
     Environment,
     Facts,
-    measure,
     without_debouncing,
 )
 from missions.proof.setup import Leaf, Senses, Setup
@@ -153,20 +152,17 @@ class Rig(VisitorBase):
             return Leaf("FS")
         if not isinstance(leaf, RosaAction):
             return Leaf()
-        changed = self._restored(leaf.action)
-        for action in self.setup.causes.enables.get(leaf.action, ()):
-            changed |= {limit.attribute for limit in self.kb.actions[action].constraints}
-        environment = self.environment
+        values = self.environment.values
         met = {
-            name: min(environment.values[name], key=environment.violated(name))
-            for name in environment.values
-            if name in changed
+            name: min(values[name], key=self.environment.violated(name))
+            for name in self._restored(leaf.action)
         }
         return Leaf(effects={"S": met} if met else {})
 
     def _restored(self, action: str) -> set[str]:
-        """Return the attributes that an action restores, as the model says."""
-        return {element.name for element in self.kb.model.actions[action].restores}
+        """Return the attributes that change which an action restores, as the model says."""
+        restores = self.kb.model.actions[action].restores
+        return {element.name for element in restores} & self.environment.values.keys()
 
     def _answer(self, leaf: Behaviour, says: Leaf, own: Callable[[], object] | None) -> Status:
         if own is not None:
@@ -250,7 +246,7 @@ class Rig(VisitorBase):
         self.is_caused = True
         self.runner.tick()
         instead = self._instead(self.root) if self.root.status is Status.SUCCESS else ""
-        self.deeds |= {f"instead {instead}"} if instead else set()
+        self.deeds |= {f"the success of {instead} ends the mission"} if instead else set()
 
     def settle(self) -> tuple[str, ...]:
         """Let the manager take its turns until it has nothing to do.
@@ -308,25 +304,19 @@ class Rig(VisitorBase):
             return
         for action in {action for action, _ in {*present.requested} - {*facts.requested}}:
             kb.cancel_action(action)
-        for name in present.failed - facts.failed:
-            kb.component_recovered(name)
+        for name in present.failed ^ facts.failed:
+            Change(name, name in facts.failed).apply(kb)
         for name, value in {*facts.values} - {*present.values}:
-            measure(kb, name, value)
-        for name in facts.failed - present.failed:
-            kb.component_failed(name)
+            Change(name, value).apply(kb)
         for name in present.active ^ facts.active:
             kb.component_active(name, name in facts.active)
         tables: dict[str, Any] = {"function design": kb.designs, "configuration": kb.configurations}
         for kind, name in present.selected ^ facts.selected:
             kb.assert_selected(tables[kind][name], (kind, name) in facts.selected)
         for action, preference in {*facts.requested} - {*present.requested}:
-            view = kb.actions[action]
-            is_feasible = kb.is_feasible(action)
-            if not is_feasible:
-                kb.assert_status(view, "feasible")
+            kb.assert_status(kb.actions[action], "feasible")  # it may have been requested earlier
             kb.request_action(action, preference or None)
-            if not is_feasible:
-                kb.retract_status(view)
+            kb.retract_status(kb.actions[action])
         self._facts = kb.revision, facts
 
     # what properties ask
@@ -396,9 +386,8 @@ class Rig(VisitorBase):
         actions = self.kb.actions
         limits = {limit.attribute for name in wanted for limit in actions[name].constraints}
         own = {limit.attribute for limit in actions[action].constraints}
-        enabled = self.setup.causes.enables.get(action, set[str]())
-        helps = enabled & wanted or self._restored(action) & limits
-        return action not in wanted and bool(helps or any(map(self.is_quality, limits - own)))
+        is_freer = any(self.is_quality(name) for name in limits - own)
+        return action not in wanted and (is_freer or bool(self._restored(action) & limits))
 
 
 def acting(nodes: Iterable[Behaviour]) -> list[Any]:

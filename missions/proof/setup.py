@@ -13,7 +13,7 @@ from kb import Planner as ConfigurationPlanner
 from missions.engine.mission import Mission, Percepts
 from missions.engine.task_layer import mission_domain
 from missions.testing.scripted import LETTERS
-from rosa_pddl.domain import FEASIBLE, Domain, Schema, names_in, parts_of
+from rosa_pddl.domain import FEASIBLE, names_in
 
 Predicates = frozenset[str]
 Predicate = Callable[[Any], bool]
@@ -40,13 +40,11 @@ class Causes:
 
     Attributes:
         effects: by action, the predicates that it makes true.
-        enables: by action, the actions that it makes feasible.
         goal: the predicates of the goal that some action makes true.
         facts: returns what is sensed, as facts of the PDDL problem.
     """
 
     effects: Mapping[str, set[str]] = field(default_factory=dict)
-    enables: Mapping[str, set[str]] = field(default_factory=dict)
     goal: Predicates = frozenset()
     facts: Callable[[KnowledgeBase, Percepts], Mapping[str, bool | float]] = lambda kb, percepts: {}
 
@@ -94,28 +92,14 @@ def causes_of(mission: Mission) -> Causes:
         return Causes()
     domain = mission_domain(mission)
     effects: defaultdict[str, set[str]] = defaultdict(set)
-    enables: defaultdict[str, set[str]] = defaultdict(set)
     for schema in domain.schema_of.values():
         for action in domain.rosa_actions:
             if domain.may_do(schema, action):
-                for effect in schema.effects:
-                    if effect.kind != "add":
-                        continue
-                    if effect.name == FEASIBLE:
-                        enables[action] |= _objects(domain, schema, effect.terms)
-                    else:
-                        effects[action].add(effect.name.lower())
-    causes = Causes(effects, enables, facts=mission.facts)
+                added = [effect.name for effect in schema.effects if effect.kind == "add"]
+                effects[action] |= {name.lower() for name in added if name != FEASIBLE}
+    causes = Causes(effects, facts=mission.facts)
     goal = {name.lower() for name in names_in(domain.goal)}
     return replace(causes, goal=causes.brought & goal)
-
-
-def _objects(domain: Domain, schema: Schema, terms: tuple[str, ...]) -> set[str]:
-    """Return the actions that a parameter can be, by the facts of the problem."""
-    parts = [part for formula in schema.conditions for part in parts_of(formula)]
-    kinds = [part[1] for part in parts if part[0] == "atom" and part[2] == terms]
-    actions = domain.rosa_actions
-    return {each for each in actions if any(f"({kind} {each})" in domain.facts for kind in kinds)}
 
 
 @dataclass(frozen=True)
@@ -152,7 +136,6 @@ class Setup:
         start: attributes that are measured before the first tick, with their values.
         causes: which deeds bring about what is sensed.
         failures: how many components are failed at once at most.
-        at_once: how many facts change between two ticks at most.
         failing: the components that can fail; empty for all.
         symmetric: let only the first of several facts that make no difference apart change.
         wanted: further properties; see `always`, `never`, `eventually` and `leads_to`.
@@ -170,7 +153,6 @@ class Setup:
     start: Mapping[str, float] = field(default_factory=dict)
     causes: Causes = field(default_factory=Causes)
     failures: int = 1
-    at_once: int = 1
     failing: Sequence[str] = ()
     symmetric: bool = True
     wanted: Sequence[Any] = ()

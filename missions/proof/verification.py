@@ -2,10 +2,8 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from inspect import Parameter, signature
-from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from py_trees.behaviour import Behaviour
 
@@ -20,23 +18,20 @@ from missions.proof.rig import Rig, Step
 from missions.proof.setup import Senses, Setup, causes_of
 
 
-@dataclass(frozen=True)
-class Consequence:
-    """What a mission still reaches if some facts are at their worst from the beginning, for good.
+class Consequence(NamedTuple):
+    """What a mission still reaches if a fact is at its worst from the beginning, for good.
 
     Attributes:
-        facts: the bad facts, in words.
+        fact: the bad fact, in words.
         reaches: "the goal", "the goal as long as X lasts" if nothing that is possible then restores
             the quality X, "the goal if it happens later", "nothing", or "not explored" if it never
             occurred.
         actions: the actions that are required meanwhile.
-        alike: further components of which the same holds.
     """
 
-    facts: tuple[str, ...]
+    fact: str
     reaches: str
-    actions: tuple[str, ...]
-    alike: tuple[str, ...] = ()
+    actions: list[str]
 
 
 @dataclass(frozen=True)
@@ -47,7 +42,7 @@ class Proof:
         setup: what was verified.
         explored: the situations, which can be asked further questions.
         findings: for each property, whether it holds.
-        consequences: of single failures, and of pairs of those that do not end the mission alone.
+        consequences: of each single bad fact.
         notes: what is no mistake, but good to know.
     """
 
@@ -107,7 +102,7 @@ class Proof:
         rows = []
         for each in self.consequences:
             does = f"; does {', '.join(each.actions)}" if each.actions else ""
-            rows.append([" and ".join(each.facts), "", each.reaches + does])
+            rows.append([each.fact, "", each.reaches + does])
         return {
             "success": not self.broken,
             "outcome": f"{len(self.broken)} broken" if self.broken else outcome,
@@ -142,13 +137,13 @@ class Proof:
             "finished": self.explored.is_finished,
             "count": self.count,
             "findings": findings,
-            "consequences": [vars(consequence) for consequence in self.consequences],
+            "consequences": [consequence._asdict() for consequence in self.consequences],
             "notes": self.notes,
         }
 
 
 def verify(
-    build_tree: Callable[..., Behaviour],
+    build_tree: Callable[[KnowledgeBase], Behaviour],
     model: Callable[[], Model],
     *,
     suggest: bool = False,
@@ -163,14 +158,7 @@ def verify(
         suggest: look for what mends a broken tree, see `Finding.advice`.
         options: of `Setup`.
     """
-    parameters = signature(build_tree).parameters.values()
-    kinds = [each.kind for each in parameters if each.default is each.empty]
-    takes_percepts = kinds.count(Parameter.POSITIONAL_OR_KEYWORD) > 1
-
-    def build(kb: KnowledgeBase, senses: Senses) -> Behaviour:
-        return build_tree(kb, senses) if takes_percepts else build_tree(kb)
-
-    return prove(Setup(build, model, **options), suggest=suggest)
+    return prove(Setup(lambda kb, senses: build_tree(kb), model, **options), suggest=suggest)
 
 
 def setup_of(mission: Mission, **options: Any) -> Setup:  # noqa: ANN401  # of Setup
@@ -198,28 +186,23 @@ def prove(setup: Setup, *, suggest: bool = False) -> Proof:
 
 
 def consequences(explored: Exploration) -> list[Consequence]:
-    """Return the consequence of each bad fact, and of each pair that ends the mission."""
+    """Return the consequence of each single bad fact."""
     environment = explored.rig.environment
-    alike = {Change(group[0], True): group[1:] for group in environment.alike}
-    single = [*alike, *(Change(name, value) for name, value in environment.worst.items())]
+    failures = [Change(group[0], True) for group in environment.alike]
     caused = set(explored.caused())
-    rows = [
-        replace(_consequence(explored, (bad,), caused), alike=alike.get(bad, ())) for bad in single
-    ]
-    lasting = [bad for bad, row in zip(single, rows, strict=True) if row.reaches == "the goal"]
-    pairs = [_consequence(explored, pair, caused) for pair in combinations(lasting, 2)]
-    return [*rows, *(pair for pair in pairs if pair.reaches == "nothing")]
+    worst = [Change(name, value) for name, value in environment.worst.items()]
+    return [_consequence(explored, bad, caused) for bad in [*failures, *worst]]
 
 
-def _consequence(explored: Exploration, bad: Sequence[Change], caused: set[int]) -> Consequence:
-    """Return what is reached with these facts; a quality that a deed restores need not last."""
-    failed = {change.name for change in bad if change.to is True}
-    worst = {change.name: change.to for change in bad if change.to is not True}
-    values = {number: dict(explored.situations[number].facts.values) for number in caused}
-    alone = {number for number in caused if explored.situations[number].facts.failed == failed}
-    within = {number for number in alone if worst.items() <= values[number].items()}
+def _consequence(explored: Exploration, bad: Change, caused: set[int]) -> Consequence:
+    """Return what is reached with this fact; a quality that a deed restores need not last."""
+    is_failure = bad.to is True
+    failed = {bad.name} if is_failure else set()
+    facts = {number: explored.situations[number].facts for number in caused}
+    alone = {number for number in caused if facts[number].failed == failed}
+    within = {number for number in alone if is_failure or (*bad,) in facts[number].values}
     rounds = [each for each in explored.rounds[0] if each.is_caused]
-    first = {each.after for each in rounds if {*each.step.changes} == {*bad}}
+    first = {each.after for each in rounds if each.step.changes == (bad,)}
     reached = explored.reaching(explored.goals & within, within=within)
     reaches = "nothing"
     if not within or not (reached or explored.is_finished):
@@ -228,11 +211,11 @@ def _consequence(explored: Exploration, bad: Sequence[Change], caused: set[int])
         reaches = "the goal"
         restoring = explored.reaching(explored.goals & alone, within=alone, still=True)
         for name, lowest in explored.rig.environment.worst.items():
-            low = {number for number in alone if values[number][name] == lowest}
-            is_bad = name not in worst and explored.rig.is_quality(name)
-            if is_bad and low and not low & restoring:
+            low = {number for number in alone if (name, lowest) in facts[number].values}
+            is_other = name != bad.name and explored.rig.is_quality(name)
+            if is_other and low and not low & restoring:
                 reaches = f"the goal as long as {name} lasts"
     elif reached:
         reaches = "the goal if it happens later"
     actions = {name for number in within for name in explored.seen[number].required}
-    return Consequence(tuple(map(str, bad)), reaches, tuple(sorted(actions)))
+    return Consequence(str(bad), reaches, sorted(actions))

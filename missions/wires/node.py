@@ -191,9 +191,9 @@ class Node(ABC):
         for watcher in self._watchers:
             watcher(is_connected, text)
 
-    def _open_call(self, service: str, timeout_s: float) -> Call:
+    def _open_call(self, service: str, timeout_s: float, details: object) -> Call:
         overdue = f"{service} has not answered in time"
-        call = Call(service, self.clock() + timeout_s, overdue)
+        call = Call(service, self.clock() + timeout_s, overdue, details)
         call.reply.set_running_or_notify_cancel()  # its caller need not wait, but cannot cancel it
         self._calls[call.id] = call
         return call

@@ -146,8 +146,8 @@ class RclpyNode(Node):
             raise MissionError(f"rclpy is not installed ({error}); {source}; {advice}") from None
         self.types = Messages()
         self._readers: list[_Reader] = []
-        self._partners: dict[str, Any] = {}
-        """Publishers by topic, clients by service or action."""
+        self._partners: dict[tuple[str, str], Any] = {}
+        """Publishers and clients by name and type."""
         try:
             self._context = Context()
             rclpy.init(context=self._context)
@@ -193,10 +193,9 @@ class RclpyNode(Node):
         self, service: str, kind: str, request: Message, timeout_s: float = TIMEOUT_S
     ) -> Reply:
         thing = self.types.to_object(f"{kind}_Request", request)
-        self._partner(service, kind, self._node.create_client)
-        call = self._open_call(service, timeout_s)
+        client = self._partner(service, kind, self._node.create_client)
+        call = self._open_call(service, timeout_s, (client, thing))
         call.overdue = f"nobody serves {service}"  # until it is sent
-        call.details = thing
         self._send_call(call)
         return call.reply
 
@@ -223,14 +222,12 @@ class RclpyNode(Node):
     def publishers(self, topic: str) -> int:
         return len(self._node.get_publishers_info_by_topic(topic))
 
-    def _partner(  # an object of rclpy
-        self, place: str, kind: str, create: Callable[..., Any], *more: object
-    ) -> Any:  # noqa: ANN401
+    def _partner(self, place: str, kind: str, create: Callable[..., Any], *more: object) -> Any:  # noqa: ANN401  # an object of rclpy
         """Return a publisher or a client; it is made when it is first needed."""
         with self._lock:
-            if place not in self._partners:
-                self._partners[place] = create(self.types.find(kind), place, *more)
-        return self._partners[place]
+            if (place, kind) not in self._partners:
+                self._partners[place, kind] = create(self.types.find(kind), place, *more)
+        return self._partners[place, kind]
 
     def _spin(self) -> None:
         from rclpy.executors import ExternalShutdownException, ShutdownException
@@ -273,12 +270,11 @@ class RclpyNode(Node):
 
     def _send_call(self, call: Call) -> None:
         """Send a call once its service is there; fail it when the service is gone."""
-        client = self._partners[call.service]
-        is_ready = client.service_is_ready()
         with self._lock:
-            request = call.details
+            client, request = call.details
+            is_ready = client.service_is_ready()
             if is_ready:
-                call.details = None
+                call.details = client, None
         if is_ready and request is not None:
             call.overdue = f"{call.service} has not answered in time"
             client.call_async(request).add_done_callback(partial(self._on_answer, call))

@@ -152,6 +152,9 @@ class BridgedGoal(Goal):
         self.connection = node.connection(self._hear)
         request = {"op": "send_action_goal", "id": self._id, "action": action}
         self.connection.send({**request, "action_type": kind, "args": goal, "feedback": True})
+
+    def start(self) -> None:
+        """Send the goal, once the node shows it the status topic."""
         self.connection.start(self._lose)
 
     def cancel(self) -> None:
@@ -251,11 +254,12 @@ class Rosbridge(Node):
     def call(
         self, service: str, kind: str, request: Message, timeout_s: float = TIMEOUT_S
     ) -> Reply:
-        call = self._open_call(service, timeout_s)
         if not self.is_connected:
-            self._end_call(call, Disconnected(f"{service} cannot be called: no connection"))
-            return call.reply
-        lane = call.details = self.lane(service.rpartition("/")[0])
+            reply = Reply()
+            reply.set_exception(Disconnected(f"{service} cannot be called: no connection"))
+            return reply
+        lane = self.lane(service.rpartition("/")[0])
+        call = self._open_call(service, timeout_s, lane)
         call.reply.add_done_callback(partial(self._close_blocked, call))
         message = {"op": "call_service", "id": call.id, "service": service}
         lane.send({**message, "type": kind, "args": request})
@@ -272,6 +276,7 @@ class Rosbridge(Node):
             self.subscribe(topic, "action_msgs/msg/GoalStatusArray", partial(self._see, action))
         sent = BridgedGoal(self, action, kind, goal)
         self._goals[action] = [*(g for g in self._goals[action] if not g.is_over), sent]
+        sent.start()
         return sent
 
     def update(self) -> None:

@@ -6,7 +6,7 @@ The XML element of a node fills each port with a literal or with a key of the bl
 from collections.abc import Callable, Container, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, Final, get_origin
+from typing import Any, get_origin
 
 from py_trees.common import Status
 from py_trees.ports import PortInformation, PortsMixin
@@ -16,7 +16,6 @@ from rosa_bt.exceptions import RosaBtError, hint
 from rosa_bt.xml.values import (
     CASTS,
     EMPTY,
-    ScriptError,
     Value,
     converted,
     is_number,
@@ -52,12 +51,6 @@ class Entry:
         self.value = value
         self.version += 1
 
-    def read(self, text: str) -> Value:
-        """Return a text of a script as the declared type."""
-        if self.declared is Status:
-            raise ScriptError(f"a script cannot write {text!r} to an entry for an outcome")
-        return converted(text, self.declared)
-
     def take(self, value: Value) -> None:
         """Write a value from the program or a port, as the declared type.
 
@@ -83,8 +76,7 @@ class Blackboard(MutableMapping[str, Any]):
     """The blackboard of one SubTree; other trees share entries with it through remapped keys only.
 
     A key is looked up in this order: `@key` in the blackboard of the main tree; among the constants
-        of
-    the SubTree element; under its remapped name in the blackboard of the parent tree; with
+    of the SubTree element; under its remapped name in the blackboard of the parent tree; with
     autoremapping under its own name there, unless it begins with an underscore; in this blackboard.
     As a mapping, it does not contain empty entries.
 
@@ -105,11 +97,11 @@ class Blackboard(MutableMapping[str, Any]):
         autoremap: bool = False,
         enums: Mapping[str, int] | None = None,
     ) -> None:
-        self.parent: Final = parent
-        self.root: Final[Blackboard] = self if parent is None else parent.root
+        self.parent = parent
+        self.root: Blackboard = self if parent is None else parent.root
         self.has_own_clock = False
         self.read_clock = clock
-        self.enums: Final[Mapping[str, int]] = enums or {}
+        self.enums: Mapping[str, int] = enums or {}
         self._remapping: dict[str, str] = {}
         self._autoremap = autoremap
         self._entries: dict[str, Entry] = {}
@@ -230,10 +222,10 @@ class Ports:
     def __init__(
         self, declared: Declared, written: Mapping[str, str], blackboard: Blackboard
     ) -> None:
-        self.blackboard: Final = blackboard
+        self.blackboard = blackboard
         self._declared = declared
-        self.keys: Final[dict[str, str]] = {}
-        self.literals: Final[dict[str, Value]] = {}
+        self.keys: dict[str, str] = {}
+        self.literals: dict[str, Value] = {}
         self._seen = 0
         for name, text in written.items():
             if name not in declared:

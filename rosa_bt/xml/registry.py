@@ -4,7 +4,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, Literal, TypeVar, overload
+from typing import Any, Literal, TypeVar, overload
 
 from py_trees.behaviour import Behaviour
 from py_trees.ports import PortInformation, PortsMixin
@@ -20,8 +20,8 @@ Factory = Callable[..., Behaviour]
 F = TypeVar("F", bound=Factory)
 Kind = Literal["action", "condition"]
 
-_FORMS: Final = ("Action", "BehaviorTree", "Condition", "Control", "Decorator", "SubTree", "root")
-_OF_NAV2: Final = frozenset(
+_FORMS = ("Action", "BehaviorTree", "Condition", "Control", "Decorator", "SubTree", "root")
+_OF_NAV2 = frozenset(
     [
         "GoalUpdatedController",
         "NonblockingSequence",
@@ -34,11 +34,11 @@ _OF_NAV2: Final = frozenset(
         "SingleTrigger",
     ]
 )
-BUILT_IN: Final = frozenset({*NODES, *_FORMS}) - _OF_NAV2
+BUILT_IN = frozenset({*NODES, *_FORMS}) - _OF_NAV2
 """Names that cannot be registered; those of Nav2 can, since its releases differ."""
-_ROLES: Final = frozenset({"name", "child", "children", "blackboard", "behaviour_class_name"})
+_ROLES = frozenset({"name", "child", "children", "blackboard", "behaviour_class_name"})
 """Parameters that no attribute of an element sets."""
-_VARIOUS: Final = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+_VARIOUS = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
 @dataclass(frozen=True)
@@ -188,8 +188,8 @@ def _safe_switch(
     return SafeSwitch(name, task, transitions, blackboard.root, action)
 
 
-_ALWAYS: Final[Mapping[str, Factory]] = {"Retry": Retry, "UntilSuccess": UntilSuccess}
-_WITH_KB: Final[Mapping[str, Factory]] = {
+_ALWAYS: Mapping[str, Factory] = {"Retry": Retry, "UntilSuccess": UntilSuccess}
+_WITH_KB: Mapping[str, Factory] = {
     **{kind.__name__: kind for kind in (HasStatus, IsActionFeasible, Measurement, ForAction)},
     **{"DoUntilUnfeasible": _do_until_unfeasible, "SafeSwitch": _safe_switch},
 }
@@ -215,7 +215,7 @@ class BehaviourRegistry:
     """
 
     def __init__(self, **bound: Any) -> None:  # noqa: ANN401  # whatever the behaviours of the user need
-        self.bound: Final = bound
+        self.bound = bound
         self._own = {**_ALWAYS, **(_WITH_KB if "kb" in bound else {})}
         self.entries = {name: Entry(make, None, bound) for name, make in self._own.items()}
 
@@ -243,10 +243,8 @@ class BehaviourRegistry:
             factory: the class or function, which is returned as it is; without it, a decorator is
                 returned.
             kind: "condition" for a leaf that is ticked again after it has finished, even if it was
-                not reset; "action" for a leaf that is not. Without it, the file decides
-                (`<Condition ID=...>` or its TreeNodesModel), or
-                else the class: without `initialise` and `terminate` of its own, it makes
-                    conditions.
+                not reset; "action" for a leaf that is not. Without it, the file decides, or else
+                the class: without `initialise` and `terminate` of its own, it makes conditions.
 
         Raises:
             RegistryError: the name is taken, or an argument is of a wrong kind.
@@ -260,10 +258,6 @@ class BehaviourRegistry:
             problem = f"{name!r} is a node of BehaviorTree.CPP itself; choose another name"
         elif name in self.entries and name not in self._own:
             problem = f"{name!r} is registered already; choose another name"
-        elif not callable(factory):
-            problem = f"{name!r} is a class or a function that makes a behaviour, not {factory!r}"
-        elif kind not in (None, "action", "condition"):
-            problem = f"a leaf is an 'action' or a 'condition', not {kind!r}"
         if problem:
             raise RegistryError(problem)
         self._own.pop(name, None)

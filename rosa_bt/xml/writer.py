@@ -7,7 +7,7 @@ any.
 import inspect
 from collections.abc import Container, Iterable, Mapping
 from math import inf
-from typing import Any, Final
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from py_trees.behaviour import Behaviour
@@ -25,7 +25,7 @@ from rosa_bt.xml.nodes import Branch, Slot, XmlNode, is_plain
 from rosa_bt.xml.reader import SubTree
 from rosa_bt.xml.registry import BUILT_IN, BehaviourRegistry
 
-_TAGS: Final[Mapping[type[Behaviour], str]] = {
+_TAGS: Mapping[type[Behaviour], str] = {
     Inverter: "Inverter",
     FailureIsSuccess: "ForceSuccess",
     SuccessIsFailure: "ForceFailure",
@@ -39,25 +39,25 @@ _TAGS: Final[Mapping[type[Behaviour], str]] = {
 }
 """The tags of behaviours that mean exactly the same; before those of composites without memory,
 `Reactive`."""
-_DURATIONS: Final = {Timer: "msec", Timeout: "msec", Delay: "delay_msec"}
-_ARGUMENTS: Final = (
+_DURATIONS = {Timer: "msec", Timeout: "msec", Delay: "delay_msec"}
+_ARGUMENTS = (
     *("action", "preference", "wait", "timeout", "even_if_unfeasible", "exclusive"),
     *("halting_timeout", "during", "memory", "after", "num_failures", "pause"),
 )
 """Parameters of our behaviours that are attributes, of the element as of the behaviour."""
-_DEFAULTS: Final = (None, False, inf, RosaAction.halting_timeout)
-_MAIN: Final = "MainTree"
+_DEFAULTS = (None, False, inf, RosaAction.halting_timeout)
+_MAIN = "MainTree"
 
 
 def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None) -> str:
     """Write a tree as XML of BehaviorTree.CPP 4.
 
     It writes trees from `load_xml`, also changed ones, and trees of behaviours that mean the same:
-        Sequence and Selector (with and without memory), Inverter, FailureIsSuccess,
-    SuccessIsFailure, Success, Failure, our Timer, Timeout and Delay, and leaves that need no
-    arguments but a name, a knowledge base and the action. The idioms are written as the nodes that
-    they consist of; ForAction, UntilSuccess, Retry, DoUntilUnfeasible and SafeSwitch are in every
-    registry with a knowledge base. The contents of blackboards are not written.
+    Sequence and Selector (with and without memory), Inverter, FailureIsSuccess, SuccessIsFailure,
+    Success, Failure, our Timer, Timeout and Delay, and leaves that need no arguments but a name, a
+    knowledge base and the action. The idioms are written as the nodes that they consist of;
+    ForAction, UntilSuccess, Retry, DoUntilUnfeasible and SafeSwitch are in every registry with a
+    knowledge base. The contents of blackboards are not written.
 
     Args:
         behaviour: the root of the tree.
@@ -263,7 +263,7 @@ class NumberedTree(_Writer):
         models = SubElement(self._whole, "TreeNodesModel")
         for tag, kind in sorted(self._kinds.items()):
             SubElement(models, kind, ID=tag)
-        self.xml: Final = tostring(self._whole, encoding="unicode")
+        self.xml = tostring(self._whole, encoding="unicode")
 
     def shows(self, root: Behaviour) -> bool:
         """Tell whether it still shows the tree: no child was added, removed or moved."""

@@ -463,7 +463,7 @@ CORRECT = [
         lambda kb: give_way(kb, explore(kb, wait=True), charge(kb, wait=True)),
     ),
     Case("two failures", either, options={"failures": 2}),
-    Case("two changes", give_way, options={"at_once": 2}),
+    Case("no failures", either, options={"failures": 0}),
     Case("unguarded but given up by itself", lambda kb: select(explore(kb), onward(charge(kb)))),
     Case("inverted twice", wrapped(twice)),
     Case("inverted twice without a guard", wrapped(twice, explore)),

@@ -155,7 +155,7 @@ def test_percept_succeeds_only_after_its_deed(leaves, reaches):
         return Sequence("all", memory=False, children=[find, Act("charge", kb, "charge")])
 
     consequence = verify(tree, drone(), leaves=leaves).consequences[0]
-    assert (consequence.facts, consequence.reaches) == (("camera fails",), reaches)
+    assert (consequence.fact, consequence.reaches) == ("camera fails", reaches)
 
 
 def test_wrong_use_is_refused():
@@ -215,7 +215,7 @@ def test_table_of_single_failures_agrees_with_runs(name):
     facts = [*((group[0], True) for group in environment.alike), *environment.worst.items()]
     promised = {}
     happened = {}
-    for (fact, value), consequence in zip(facts, proof.consequences, strict=False):
+    for (fact, value), consequence in zip(facts, proof.consequences, strict=True):
         if "as long as" not in consequence.reaches:  # whether the battery lasts, a run shows
             promised[fact] = consequence.reaches == "the goal"
             happened[fact] = succeeds(mission, fact, value)

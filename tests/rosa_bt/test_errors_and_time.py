@@ -21,7 +21,6 @@ from rosa_bt import (
     TraceVisitor,
     TreeChangeError,
     TreeRunner,
-    do_until_unfeasible,
     export_xml,
     load_xml,
     read_trace,
@@ -89,20 +88,6 @@ def test_exception_is_in_the_trace_and_in_its_file(tmp_path):
     ((name, text),) = visitor.trace.ticks[0].errors
     assert (name, text.partition(";")[0]) == ("slip", "AttributeError: no spnge")
     assert read_trace(tmp_path / "run.jsonl") == visitor.trace
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: TreeRunner(Running("r"), clock=0.0), "0.0 cannot; give a function"),
-        (lambda: slipping("x", on_error="ignore"), "on_error is 'fail' or 'raise', not 'ignore'"),
-        (lambda: slipping("x", on_clock_set_back="no"), "on_clock_set_back is 'follow' or"),
-        (lambda: do_until_unfeasible([], Running("r")), r"a task is a behaviour .* not \[\]"),
-    ],
-)
-def test_mistake_in_a_call_is_answered_with_what_to_write(make, message):
-    with pytest.raises((TypeError, ValueError), match=message):
-        make()
 
 
 # ---------------------------------------------------------------- time

@@ -202,8 +202,6 @@ def test_only_condition_is_asked_again(factory, kind, element, model, is_conditi
     [
         ("Sequence", Finished, None, "'Sequence' is a node of BehaviorTree.CPP itself"),
         ("taken", Finished, None, "'taken' is registered already"),
-        ("new", "Finished", None, "not 'Finished'"),
-        ("new", Finished, "leaf", "an 'action' or a 'condition', not 'leaf'"),
     ],
 )
 def test_registration_that_means_nothing_is_refused(name, factory, kind, message):

@@ -1,7 +1,7 @@
 """The traces that BehaviorTree.CPP 4.10 recorded of itself are reproduced.
 
 `btcpp_traces.json` says how it was recorded: BehaviorTree.CPP 4.10.0 (commit 879522c7),
-    `Tree::tickExactlyOnce`.
+`Tree::tickExactlyOnce`.
 """
 
 import json
