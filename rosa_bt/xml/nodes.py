@@ -148,7 +148,9 @@ class Named(Behaviour):
     """Least and greatest number of children."""
     ports: Ports
 
-    def __init_subclass__(cls, *, is_node: bool = True) -> None:
+    def __init_subclass__(cls, *, is_node: bool = True, **ports: PortInformation) -> None:
+        if ports:
+            cls.PORTS = ports
         if is_node:
             NODES[cls.__name__] = cls
 
@@ -278,10 +280,8 @@ class AlwaysFailure(Named):
         return Status.FAILURE
 
 
-class Script(Named):
+class Script(Named, code=port(str)):
     """Runs a script; then SUCCESS."""
-
-    PORTS: ClassVar = {"code": port(str)}
 
     def prepare(self, ports: Ports) -> None:
         super().prepare(ports)
@@ -300,14 +300,12 @@ class ScriptCondition(Script):
         return Status.SUCCESS if truth(self.script(self.ports.blackboard)) else Status.FAILURE
 
 
-class SetBlackboard(Named):
+class SetBlackboard(Named, value=port(object), output_key=port(object)):
     """Writes a text, as the declared type of the entry, or copies the value of another key.
 
     As in BehaviorTree.CPP, if no type is declared, the first text empties the entry, and the second
     raises.
     """
-
-    PORTS: ClassVar = {"value": port(object), "output_key": port(object)}
 
     def update(self) -> Status:
         ports = self.ports
@@ -339,29 +337,23 @@ class SetBlackboard(Named):
         return Status.SUCCESS
 
 
-class UnsetBlackboard(Named):
+class UnsetBlackboard(Named, key=port(str)):
     """Removes a key from the blackboard of its own tree."""
-
-    PORTS: ClassVar = {"key": port(str)}
 
     def update(self) -> Status:
         self.ports.blackboard.unset(self.ports.get("key"))
         return Status.SUCCESS
 
 
-class WasEntryUpdated(Named):
+class WasEntryUpdated(Named, entry=port(object)):
     """SUCCESS if an entry was written since the last tick of this leaf, else FAILURE."""
-
-    PORTS: ClassVar = {"entry": port(object)}
 
     def update(self) -> Status:
         return Status.SUCCESS if self.ports.is_updated("entry") else Status.FAILURE
 
 
-class Sleep(Named):
+class Sleep(Named, msec=port(int)):
     """RUNNING for `msec` [ms], then SUCCESS."""
-
-    PORTS: ClassVar = {"msec": port(int)}
 
     def initialise(self) -> None:
         self._since = self.ports.blackboard.clock()
