@@ -21,7 +21,6 @@ from kb.exceptions import AmbiguousName, InvalidValue, ModelError, UnknownName
 from kb.status import OPERATORS, STATUSES, Status
 
 ChoiceT = TypeVar("ChoiceT", bound=StrEnum)
-ElementT = TypeVar("ElementT", bound="Element")
 T = TypeVar("T")
 Parameter = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 Parameters = Mapping[str, Parameter]
@@ -319,26 +318,13 @@ class Owner(Protocol):
     @property
     def facts(self) -> tuple["Fact", ...]: ...
     def change(self, element: "Changeable | str", **fields: object) -> None: ...
-    def declare(
-        self,
-        cls: type[ElementT],
-        name: str,
-        constraints: Iterable["Expression"] = (),
-        /,
-        **stated: object,
-    ) -> ElementT: ...
     def constrain_all(
         self, elements: Iterable["Constrainable"], constraints: Iterable["Expression"]
     ) -> tuple["Constraint", ...]: ...
-    def add_estimation(
-        self,
-        causer: "Estimable",
-        attribute: "Attribute | str",
-        value: float,
-        kind: EstimationKind | str = "positive",
-    ) -> "Estimation": ...
     def add_fact(self, fact: "Fact") -> None: ...
-    def state(self, cls: type, values: Mapping[str, Any]) -> "Changeable | None": ...
+    def state(
+        self, cls: type[T], values: Mapping[str, Any], constraints: Iterable["Expression"] = ()
+    ) -> T: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -455,7 +441,8 @@ class _Estimable(_Constrainable):
             value: how much, in the attribute's unit.
             kind: "positive" adds, "negative" takes away, "absolute" sets.
         """
-        self.model.add_estimation(self, attribute, value, kind)  # type: ignore[arg-type]  # a subclass is one of three
+        stated = {"causer": self, "attribute": attribute, "value": value, "kind": kind}
+        self.model.state(Estimation, stated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -592,8 +579,8 @@ class Component(_Estimable):
 
         The lowest priority number is tried first.
         """
-        stated = {"component": self, "parameters": parameters or {}, "priority": priority}
-        return self.model.declare(Configuration, name, constraints, **stated)
+        stated = {"name": name, "component": self, "parameters": parameters or {}}
+        return self.model.state(Configuration, {**stated, "priority": priority}, constraints)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -623,8 +610,8 @@ class Function(Element):
 
         The lowest priority number is tried first.
         """
-        stated = {"function": self, "components": components, "priority": priority}
-        return self.model.declare(FunctionDesign, name, constraints, **stated)
+        stated = {"name": name, "function": self, "components": components, "priority": priority}
+        return self.model.state(FunctionDesign, stated, constraints)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

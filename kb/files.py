@@ -85,14 +85,11 @@ def read_text(file: Path) -> str:
     try:
         return content.decode("utf-8").removeprefix(_MARK)
     except UnicodeDecodeError as error:
-        before = content[: error.start]
-        column = len(before[before.rfind(b"\n") + 1 :].decode("utf-8").removeprefix(_MARK)) + 1
-        likely = (
-            "UTF-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "Latin-1 or Windows-1252"
-        )
+        before = content[: error.start].decode("utf-8").removeprefix(_MARK)
+        column = len(before[before.rfind("\n") + 1 :]) + 1
         message = f"byte {content[error.start]:#04x} at offset {error.start} is not UTF-8; "
-        message += f"the file may be {likely}: save it as UTF-8"
-        raise ModelFileError(message, str(file), before.count(b"\n") + 1, column) from None
+        message += "the file may be Latin-1, Windows-1252 or UTF-16: save it as UTF-8"
+        raise ModelFileError(message, str(file), before.count("\n") + 1, column) from None
 
 
 @contextmanager
@@ -112,24 +109,6 @@ def draft(path: Path) -> Iterator[Path]:
         part.unlink(missing_ok=True)
 
 
-def put(part: Path, path: Path) -> None:
-    """Replace a file by a complete one in one step, forced to disk with its folder."""
-    with part.open("rb") as file:
-        os.fsync(file.fileno())
-    with suppress(FileNotFoundError):
-        part.chmod(path.stat().st_mode & 0o777)
-    part.replace(path)
-    sync_folder(path.parent)
-
-
-def sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
 def write_file(path: Path, content: bytes) -> None:
     """Replace a file in one step, so that nothing half-written is ever found there.
 
@@ -140,8 +119,13 @@ def write_file(path: Path, content: bytes) -> None:
     """
     target = path.resolve()
     with draft(target) as part:
-        part.write_bytes(content)
-        put(part, target)
+        with part.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        with suppress(FileNotFoundError):
+            part.chmod(target.stat().st_mode & 0o777)
+        part.replace(target)
 
 
 def write_text(file: Path, text: str) -> None:

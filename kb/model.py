@@ -70,6 +70,7 @@ from kb.files import SUFFIXES, ModelFileError, write_text
 from kb.records import check_result
 
 ElementT = TypeVar("ElementT", bound=Element)
+T = TypeVar("T")
 
 _NAMED: Final = (Action, Function, Component, FunctionDesign, Configuration, Attribute)
 
@@ -312,20 +313,21 @@ class Model:
         self._facts.append(self._checked(fact))
 
     def state(
-        self, cls: type, values: Mapping[str, Any], constraints: Iterable[Expression] = ()
-    ) -> Changeable | None:
+        self, cls: type[T], values: Mapping[str, Any], constraints: Iterable[Expression] = ()
+    ) -> T:
         """Declare an element, constraint, estimation or fact of a class by its fields."""
         others = dict(values)
+        stated: Any
         if cls is Constraint:
-            return self.constrain(others.pop("constrained"), Expression(**others))
-        if cls is Estimation:
-            return self.add_estimation(**others)
-        if issubclass(cls, Element):
-            declared: Element = self.declare(cls, others.pop("name", ""), constraints, **others)
-            return declared
-        fact: Any = cls(**others)
-        self.add_fact(fact)
-        return None
+            stated = self.constrain(others.pop("constrained"), Expression(**others))
+        elif cls is Estimation:
+            stated = self.add_estimation(**others)
+        elif issubclass(cls, Element):
+            stated = self.declare(cls, others.pop("name", ""), constraints, **others)
+        else:
+            stated = cls(**others)
+            self.add_fact(stated)
+        return stated  # type: ignore[no-any-return]  # of the class
 
     def watch(self, observer: Observer) -> None:
         """Inform an observer of every change from now on.

@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import fields
-from functools import partial
+from functools import cache, partial
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
@@ -158,8 +158,8 @@ PROPERTIES: Final = {
     for cls, word in CLASSES.items()
 }
 """The property of each field, by dataclass."""
-_OWN_PROPERTIES: Final = {*_RANGES, *chain.from_iterable(map(dict.values, PROPERTIES.values()))}
-WORDS: Final = {*_PARENTS, *_OWN_PROPERTIES, "position", "order"} - {""}
+_FIELDS: Final = chain.from_iterable(own.values() for own in PROPERTIES.values())
+WORDS: Final = {*_PARENTS, *_RANGES, *_FIELDS, "position", "order"} - {""}
 
 
 def _lineage(word: str) -> list[str]:
@@ -242,6 +242,7 @@ class _Graph:
     """A world of owlready2 with ROSA's words, to which individuals are written.
 
     Attributes:
+        word: returns a class or property by its name.
         ids: of elements, constraints and estimations.
         written: the fields of the individuals in it, by class and id.
     """
@@ -253,6 +254,7 @@ class _Graph:
         self.world = owlready2.World()
         self.ontology = self.world.get_ontology(f"{BASE}{_id('RobotModel', model)}#")
         self.rosa = self.ontology.get_namespace(ROSA)
+        self.word = cache(self.rosa.__getitem__)
         self.ids: dict[object, str] = {}
         self._things: dict[str, Any] = {}
         self.written: dict[tuple[str, str], Mapping[str, Any]] = {}
@@ -277,15 +279,15 @@ class _Graph:
         thing = self.thing(own)
         if before is None and word:
             for kind in _lineage(word):
-                thing.is_a.append(self.rosa[kind])
+                thing.is_a.append(self.word(kind))
             thing.label = [_fit(stated[field]) for field in ("name",) if field in stated]
         for field, value in stated.items():
             name = property_of(word, field)
             if name and (before is None or before.get(field) != value):
                 values = list(self._values(own, name, field, value))
-                self.rosa[name][thing] = values[:1]
+                self.word(name)[thing] = values[:1]
                 for another in values[1:]:  # one by one, else owlready2 lets a set decide the order
-                    self.rosa[name][thing].append(another)
+                    self.word(name)[thing].append(another)
                 if len(values) > 1:
                     line = " ".join([name, *(part.name for part in values)])
                     self.rosa.order[thing].append(line)
@@ -514,21 +516,29 @@ Period = tuple[str, str]
 class _Live(_Graph):
     """The world of a knowledge base: its model, what is so now, and the newest history."""
 
-    def __init__(self, model: str) -> None:
-        super().__init__(model)
+    def __init__(self, kb: Any) -> None:  # noqa: ANN401  # a knowledge base, which imports this module
+        super().__init__(kb.model.name)
         self._last = -1  # number of the newest event in it
         self._count = 0
-        self._model: list[Individual] = []
-        self._now: dict[tuple[str, str], Individual] = {}
         self._open: dict[Period, Individual] = {}
         self._ended: deque[tuple[str, str]] = deque()
         self._measured: deque[tuple[str, str]] = deque()
+        with kb.reading() as state:
+            self._revision = state.network.revision
+            described = list(self.describe(kb.model))
+        for individual in described:
+            self.put(individual)
 
-    def update(self, kb: Any) -> None:  # noqa: ANN401  # a knowledge base, which imports this module
-        """Write what is new; the knowledge base is held only while it is copied."""
+    def update(self, kb: Any) -> bool:  # noqa: ANN401  # a knowledge base, which imports this module
+        """Write what is new; return whether the model is still the one that is described.
+
+        The knowledge base is held only while it is copied.
+        """
         with kb.reading() as state:
             if kb.log.last == self._last:
-                return
+                return True
+            if state.network.revision != self._revision:
+                return False
             events = list(kb.log.since(max(self._last, 0)))
             measured = [
                 (event.time, *event.arguments) for event in events if event.verb == "measure"
@@ -540,16 +550,10 @@ class _Live(_Graph):
                     for time, value in view.history
                 ]
                 measured = sorted(past)[-HISTORY:]
-            if self._last < 0 or any(event.verb == "amend" for event in events):
-                self._model = list(self.describe(kb.model))
-            now = {each[:2]: each for each in (*self._model, *self._inferred(state))}
+            now = [*self._inferred(state), *self._new_records(kb)]
             present = dict(self._present(state))
-            new_records = list(self._new_records(kb))
             self._last = kb.log.last
-        for key in self._now.keys() - now.keys():
-            self.drop(*key)
-        self._now = now
-        for individual in (*now.values(), *new_records):
+        for individual in now:
             self.put(individual)
         for event in events:
             self._follow(event)
@@ -558,6 +562,7 @@ class _Live(_Graph):
         for moment, name, value in measured:
             stated = {"attribute": name, "time": moment, "value": value}
             self._remember(self._measured, self._numbered("Measurement", stated))
+        return True
 
     # ---------------------------------------------------------------- copied
 
@@ -663,10 +668,11 @@ class Ontology:
         with _LOCK:
             live = self._live
             self._live = None  # an interrupt may leave it half written
-            if live is None:
-                live = _Live(self._kb.model.name)
+            while live is None or not live.update(self._kb):
+                if live is not None:
+                    live.close()
+                live = _Live(self._kb)
                 finalize(self, live.close)  # owlready2 holds the classes of an open world
-            live.update(self._kb)
             self._live = live
             return live.world
 

@@ -8,13 +8,10 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields
 from itertools import islice
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 from kb.elements import Parameters, PlanFact, ProcessFact, RequiredActionFact, table
 from kb.exceptions import InvalidValue
-
-if TYPE_CHECKING:
-    from kb.events import Event  # an event has a plan
 
 T = TypeVar("T")
 
@@ -221,7 +218,7 @@ class Log:
     def __init__(self, lock: AbstractContextManager[object], catch_up: Callable[[], None]) -> None:
         self._lock = lock
         self.catch_up = catch_up  # called before all are looked at: what was interrupted ends
-        self._events: deque[Event] = deque(maxlen=_MOST_EVENTS)
+        self._events: deque[Any] = deque(maxlen=_MOST_EVENTS)
         self.last = 0
         self.time = -math.inf
         self.witnesses: tuple[Callable[[Any], None], ...] = ()
@@ -231,7 +228,7 @@ class Log:
         """Number of the event from which on every one is held; 1 while none is forgotten."""
         return self.last + 1 - len(self._events)
 
-    def append(self, event: "Event") -> None:
+    def append(self, event: Any) -> None:  # noqa: ANN401  # an `Event`, which has a plan
         """Add an event, unless one of its number is there already."""
         if not self._events or self._events[-1].number < event.number:
             self._events.append(event)
@@ -244,14 +241,14 @@ class Log:
             self._events.clear()
             self.last = number
 
-    def since(self, number: int) -> Iterator["Event"]:
+    def since(self, number: int) -> Iterator[Any]:
         """Yield the events after one, in order."""
         with self._lock:
             newest = list(islice(reversed(self._events), max(0, self.last - number)))
         newest.reverse()
         return iter(newest)
 
-    def __iter__(self) -> Iterator["Event"]:
+    def __iter__(self) -> Iterator[Any]:
         self.catch_up()
         return self.since(0)
 
@@ -293,7 +290,7 @@ class Records:
         self.progress: dict[tuple[str, str], str] = {}
         self._attempted = (0, 0)  # the newest event of an attempt, and its serial number
 
-    def apply(self, event: "Event") -> None:
+    def apply(self, event: Any) -> None:  # noqa: ANN401  # an `Event`, which has a plan
         """Enter what an event says."""
         now = event.time
         if event.plan is not None:

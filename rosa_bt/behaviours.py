@@ -4,7 +4,6 @@ import json
 import math
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import suppress
-from typing import Final
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -25,7 +24,7 @@ from rosa_bt.requests import (
 
 StatusView = ActionView | FunctionView | ComponentView | DesignView | ConfigurationView
 """A view of an element that has a name and a status."""
-_SAVE_S: Final = 1.0
+_SAVE_S = 1.0
 """Interval at which the progress of a running action goes to the store [s]."""
 
 
@@ -147,7 +146,7 @@ class ActionBehaviour(PortsMixin, KbBehaviour):
 
     def __init__(self, name: str, kb: KnowledgeBase, action: str | None = None) -> None:
         super().__init__(name, kb)
-        self.named_action: Final = action
+        self.named_action = action
         if action is not None:
             kb.is_feasible(action)  # raises now, not during a mission, if it is unknown
 

@@ -1,7 +1,7 @@
 """The idioms of missions that adapt: two composites, and subtrees that are made in one call."""
 
 from collections.abc import Generator, Iterator, Mapping, MutableMapping, Sequence
-from typing import Any, Final
+from typing import Any
 
 from py_trees import composites
 from py_trees.behaviour import Behaviour
@@ -98,7 +98,7 @@ class DoUntilUnfeasible(_RoleComposite):
 
 LastAction = MutableMapping[str, Any]
 """Holds the action that was done last; shared by the behaviours of all actions."""
-_LAST: Final = "last_action"
+_LAST = "last_action"
 
 
 class SafeSwitch(_RoleComposite):

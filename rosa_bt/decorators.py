@@ -7,7 +7,6 @@ tree; in a tree without one, by the monotonic clock of this computer.
 import math
 import time
 from collections.abc import Callable, Generator, Iterator
-from typing import Final
 
 import py_trees.decorators
 import py_trees.timers
@@ -216,7 +215,7 @@ class Retry(Timed, py_trees.decorators.Retry):
         return new_status
 
 
-_BY_CLOCK: Final[dict[type[Behaviour], type[Behaviour]]] = {
+_BY_CLOCK: dict[type[Behaviour], type[Behaviour]] = {
     py_trees.timers.Timer: Timer,
     py_trees.decorators.Timeout: Timeout,
 }

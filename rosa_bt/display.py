@@ -7,7 +7,7 @@ now.
 from collections.abc import Iterator, Sequence
 from html import escape
 from textwrap import wrap
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -20,17 +20,17 @@ from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import in_words
 
-_MARKS: Final = {Status.SUCCESS: "o", Status.FAILURE: "x", Status.RUNNING: "*", Status.INVALID: "-"}
-_FILLS: Final = {
+_MARKS = {Status.SUCCESS: "o", Status.FAILURE: "x", Status.RUNNING: "*", Status.INVALID: "-"}
+_FILLS = {
     **{Status.SUCCESS: "#d5ecd4", Status.FAILURE: "#f6d0cb"},
     **{Status.RUNNING: "#cfe0f5", Status.INVALID: "#f2f2f2"},
 }
-_SIGNS: Final = {
+_SIGNS = {
     **{SequenceNode: "->", SafeSwitch: "->", Selector: "?", DoUntilUnfeasible: "?!"},
     **{Parallel: "=>", Decorator: "^"},
 }
 _FEASIBLE, _UNFEASIBLE, _PLAIN = "#2e7d32", "#c62828", "#8a8a8a"
-_WIDTH: Final = 44  # characters in a line of a note; longer notes are wrapped
+_WIDTH = 44  # characters in a line of a note; longer notes are wrapped
 
 
 class _Row(NamedTuple):
@@ -145,10 +145,10 @@ def _kind(behaviour: Behaviour) -> str:
     return "+" if behaviour.children else ""
 
 
-FONT: Final = 'font-family="sans-serif" font-size="12"'
-_GAP: Final = 12.0
-LINE: Final = 16.0
-LETTER: Final = 6.9
+FONT = 'font-family="sans-serif" font-size="12"'
+_GAP = 12.0
+LINE = 16.0
+LETTER = 6.9
 """Sizes [px]; LETTER is a little more than the average width of a character."""
 
 

@@ -6,13 +6,12 @@ from difflib import get_close_matches
 from pathlib import Path
 from sys import stdlib_module_names
 from traceback import walk_tb
-from typing import Final
 from weakref import WeakKeyDictionary, WeakMethod, WeakSet
 
 from py_trees.behaviour import Behaviour
 
 _log = logging.getLogger(__name__)
-_OURS: Final = ("kb", "rosa_bt", "rosa_pddl", "missions", "py_trees")
+_OURS = ("kb", "rosa_bt", "rosa_pddl", "missions", "py_trees")
 
 
 class RosaBtError(Exception):

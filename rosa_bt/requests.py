@@ -9,7 +9,7 @@ import json
 import logging
 import math
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any
 from weakref import WeakKeyDictionary
 
 from py_trees.behaviour import Behaviour
@@ -21,7 +21,7 @@ from kb import Status as ElementStatus
 from rosa_bt.exceptions import path_of, report
 
 _log = logging.getLogger(__name__)
-_RESULTS: Final = {
+_RESULTS = {
     Status.SUCCESS: "completed",
     Status.FAILURE: "failed",
     Status.INVALID: "abandoned",

@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from typing import Any, Final, Literal
+from typing import Any, Literal
 from weakref import WeakSet
 
 from py_trees.behaviour import Behaviour
@@ -23,9 +23,9 @@ from rosa_bt.requests import advance_halting, end_halting, forget_progress, requ
 _log = logging.getLogger(__name__)
 Handler = Callable[[BehaviourTree], None]
 
-_HARMLESS: Final = frozenset({Failure, Running, Selector, Sequence, Success})
+_HARMLESS = frozenset({Failure, Running, Selector, Sequence, Success})
 """Classes that raise nothing; their subclasses may."""
-_CAREFUL: Final = (KbBehaviour, RosaAction, ForAction)
+_CAREFUL = (KbBehaviour, RosaAction, ForAction)
 """Classes that handle exceptions, unless a subclass overrides that."""
 
 

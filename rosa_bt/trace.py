@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from threading import get_ident
-from typing import Any, Final, NamedTuple, Self, TextIO
+from typing import Any, NamedTuple, Self, TextIO
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -27,8 +27,8 @@ from rosa_bt.behaviours import KbBehaviour, halt
 from rosa_bt.exceptions import TraceError
 from rosa_bt.runner import TreeRunner
 
-_VERSION: Final = 3
-_CAUSED_BY_TIME: Final = ("stale", "dwell", "lapse")
+_VERSION = 3
+_CAUSED_BY_TIME = ("stale", "dwell", "lapse")
 
 
 class Node(NamedTuple):

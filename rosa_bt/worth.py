@@ -10,7 +10,7 @@ it. No action becomes feasible in this way.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from py_trees.behaviour import Behaviour
 from py_trees.composites import Selector
@@ -20,11 +20,11 @@ from kb.elements import finite_number
 from kb.exceptions import InvalidValue
 from rosa_bt.composites import feasible_then_act
 
-_TIMES: Final = (24, 8, 4)
+_TIMES = (24, 8, 4)
 """How many times to leave are compared for the first detour, the second and the third."""
-_SLOPE_S: Final = 30.0
+_SLOPE_S = 30.0
 """Time over which the rate of change of an attribute is taken from its forecast [s]."""
-_SIDES: Final = (-1, 0, 1)
+_SIDES = (-1, 0, 1)
 """Everything at its worse end, as expected, at its better end."""
 
 

@@ -122,7 +122,8 @@ class Belief:
 
     def observe(self) -> State:
         """Update the belief with the percepts; return the state, with facts about feasibility."""
-        sensed, facts = self._read(), self._now.facts
+        sensed = self._read()
+        facts = self._now.facts
         # called several times a tick, mostly with nothing changed: quick in large worlds
         taken_in = self._taken_in
         if taken_in is None or taken_in[0] is not facts or taken_in[1] is not sensed:
@@ -222,22 +223,6 @@ def _number(atom: str, value: object) -> float:
     return float(value)
 
 
-class _Forecast(Protocol):
-    """How long an action stays feasible: the expected and the earliest end, and the time now."""
-
-    @property
-    def at(self) -> float | None: ...
-
-    @property
-    def earliest(self) -> float | None: ...
-
-    @property
-    def now(self) -> float: ...
-
-    @property
-    def action(self) -> str: ...
-
-
 class LastingFeasibility:
     """A knowledge base whose forecasts count: a step must end while its action is feasible.
 
@@ -254,21 +239,21 @@ class LastingFeasibility:
     def __init__(self, kb: Any, domain: Domain) -> None:  # noqa: ANN401  # all that a kb offers
         self._kb = kb
         self._actions = domain.feasibility
-        self._known: tuple[object, dict[str, _Forecast]] = (None, {})
+        self._cache: tuple[object, dict[str, Any]] = (None, {})
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # whatever a knowledge base offers
         return getattr(self._kb, name)
 
-    def forecasts(self) -> Mapping[str, _Forecast]:
+    def forecasts(self) -> Mapping[str, Any]:
         """Return the forecast for each action that is feasible now, by its feasibility fact."""
         now = self._kb.now, self._kb.log.last
-        if self._known[0] != now:
-            forecasts = dict[str, _Forecast]()
+        if self._cache[0] != now:
+            forecasts = dict[str, Any]()
             for atom, action in self._actions.items():
                 if self._kb.is_feasible(action):
                     forecasts[atom] = self._kb.feasible_until(action, _AHEAD_S)
-            self._known = now, forecasts
-        return self._known[1]
+            self._cache = now, forecasts
+        return self._cache[1]
 
 
 class FeasibilityEvents:
@@ -397,7 +382,7 @@ def _limited(domain: Domain, limits: Iterable[Limit]) -> Domain:
 
 
 def without_hopeless(domain: Domain, kb: Feasibility) -> Domain:
-    """Return a domain in which no action makes another one feasible that it cannot, by the model."""
+    """Return a domain without the promises that its actions cannot keep, by the model."""
     limits = hopeless_promises(domain, kb)
     return _limited(domain, limits) if limits else domain
 
@@ -457,10 +442,14 @@ def assumptions(
 
 
 def causes_of(kb: Feasibility, action: str) -> frozenset[str]:
-    """Return the root causes why an action is unfeasible, as kind and name; the action if unknown."""
+    """Return the root causes why an action is unfeasible, as kind and name.
+
+    The action if unknown.
+    """
     if not isinstance(kb, Explaining):
         return frozenset({action})
-    causes, seen = set[str](), set[str]()
+    causes = set[str]()
+    seen = set[str]()
     left = [kb.explain(action)]
     while left:
         reason = left.pop()

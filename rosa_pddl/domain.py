@@ -1,9 +1,10 @@
-"""A PDDL domain with its problem, in the names of the files: actions, formulas, objects, initial facts.
+"""A PDDL domain with its problem, in the names of the files, and the errors of this package.
 
 A formula is a tuple. Its first item says what it is:
 `("atom", name, terms)`, `("same", term, term)`, `("not", formula)`, `("and" | "or", formula, ...)`,
-`("forall" | "exists", variables, formula)`, and comparisons `("<" | "<=" | "=", number, number)`. A number is exact, or `("n", name, terms)`, or an operator
-with its parts, such as `("+", 1, 2)`. A term is an object, or a variable such as `?x`.
+`("forall" | "exists", variables, formula)`, and comparisons `("<" | "<=" | "=", number, number)`. A
+number is exact, or `("n", name, terms)`, or an operator with its parts, such as `("+", 1, 2)`. A
+term is an object, or a variable such as `?x`.
 """
 
 import operator
@@ -247,8 +248,14 @@ class Domain:
                 changed[text] = exact(value)
         if all(self.numbers.get(text) == value for text, value in changed.items()):
             return self
-        domain = replace(self, numbers={**self.numbers, **changed})
-        object.__setattr__(domain, "cache", self.cache)  # what is in it depends on no number
+        return self._sharing(replace(self, numbers={**self.numbers, **changed}))
+
+    def with_schemas(self, schemas: Mapping[str, Schema]) -> "Domain":
+        """Return the domain with other conditions of its actions."""
+        return self._sharing(replace(self, schema_of=schemas))
+
+    def _sharing(self, domain: "Domain") -> "Domain":
+        object.__setattr__(domain, "cache", self.cache)  # what is in it depends on neither
         return domain
 
     def check(self, kb: Feasibility) -> tuple[str, ...]:
@@ -320,7 +327,10 @@ class Domain:
 
     @cached_property
     def feasibility(self) -> Mapping[str, str]:
-        """Each ROSA action by the atom that says that it is feasible; empty without the predicate."""
+        """Each ROSA action by the atom that says that it is feasible.
+
+        Empty without the predicate.
+        """
         if FEASIBLE not in self.signatures:
             return {}
         return {self.feasible_atom(action): action for action in self.rosa_actions}
@@ -524,7 +534,7 @@ class PlanningBudgetError(RosaPddlError):
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return half a sentence for an error message: the known names nearest to a misspelt one, or else the first ten."""
+    """Return the names nearest to a misspelt one for a message, or else the first ten."""
     names = sorted(set(known))
     if not names:
         return "there are none"
@@ -666,5 +676,6 @@ def text_of(formula: Any, binding: Binding | None = None) -> str:  # noqa: ANN40
         visible = {name: thing for name, thing in scope.items() if name not in names}
         return f"({head} ({variables_text(variables)}) {text_of(inner, visible)})"
     if head == "or" and len(parts) == 2 and parts[0][0] == "not":
-        head, parts = "imply", [parts[0][1], parts[1]]
+        head = "imply"
+        parts = [parts[0][1], parts[1]]
     return atom_text(head, [text_of(part, scope) for part in parts])

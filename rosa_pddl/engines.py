@@ -137,7 +137,8 @@ class EngineProcess:
 
     def close(self) -> None:
         """End the process."""
-        process, self._process = self._process, None
+        process = self._process
+        self._process = None
         if process is not None:
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
@@ -174,9 +175,11 @@ def check_name(engine: str) -> str | None:
 def missing_package(engine: str) -> str | None:
     """Return what to install if an engine is missing, else None."""
     if engine in DOWNWARD:
-        is_there, package = bool(fast_downward_command()), "up-fast-downward"
+        is_there = bool(fast_downward_command())
+        package = "up-fast-downward"
     elif engine == KAIROS:
-        is_there, package = find_spec("kairos") is not None, "kairos-planner"
+        is_there = find_spec("kairos") is not None
+        package = "kairos-planner"
     else:
         from unified_planning.engines.factory import DEFAULT_ENGINES
 

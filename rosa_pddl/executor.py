@@ -124,7 +124,8 @@ class RunningStep:
 
     def _stop(self, behaviour: Behaviour) -> None:
         # if an interrupt cut a tick short, nodes below may have begun work and not be RUNNING yet
-        was_midway, self._is_midway = self._is_midway, True
+        was_midway = self._is_midway
+        self._is_midway = True
         for node in behaviour.iterate() if was_midway else (behaviour,):
             try:
                 node.stop(Status.INVALID)
@@ -420,7 +421,8 @@ class PlanExecutor(Behaviour):
         flaw = None
         if self._plan is not None:
             if goals_changed:
-                hard, soft = self._replanning.hard, self.goals.soft
+                hard = self._replanning.hard
+                soft = self.goals.soft
                 self._plan = self._monitor.aimed(self._plan, state, hard, soft)
             flaw = self._flaw(self._plan, self._belief.observe())
         if goals_changed:
@@ -589,7 +591,8 @@ class PlanExecutor(Behaviour):
 
     def _end(self, running: RunningStep) -> str | None:
         """Believe the effects of a step that succeeded; return why it cannot have, or None."""
-        step, state = running.step, self._belief.observe()
+        step = running.step
+        state = self._belief.observe()
         missing = missing_of(self._domain, self._domain.schema_of[step.schema].end, step, state)
         if missing is not None:
             return f"{step} ended although {missing} does not hold"
@@ -603,7 +606,8 @@ class PlanExecutor(Behaviour):
         self._look_for_effects(step, state)
         unmet = self._effects.ended(step, state)
         if unmet and self._plan is not None:
-            domain, state = self._effects.domain, self._belief.observe()
+            domain = self._effects.domain
+            state = self._belief.observe()
             expected = state.union(self._domain.feasible_atom(each.action) for each in unmet)
             is_flawed = self._plan.prediction(domain, state).flaw is not None
             if is_flawed and self._plan.prediction(domain, expected).flaw is None:

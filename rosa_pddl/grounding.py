@@ -134,9 +134,10 @@ def _looks(literals: Sequence[Literal], first: int) -> list[_Look]:
     known = set[str]()
     looks = list[_Look]()
 
-    def unknown(number: int) -> tuple[bool, int]:
-        free = {term for term in literals[number][1] if term.startswith("?")} - known
-        return number != first, len(free)
+    def unknown(number: int) -> tuple[bool, int, int]:
+        terms = literals[number][1]
+        free = {term for term in terms if term.startswith("?")} - known
+        return number != first, len(free), -len(terms)
 
     while left:
         number = min(left, key=unknown)

@@ -200,7 +200,8 @@ class PlanMonitor:
         left = {atom: each.at - each.now for atom, each in forecasts.items() if each.at is not None}
         if not left:
             return None
-        domain, numbers = self.effects.domain, self.belief.numbers
+        domain = self.effects.domain
+        numbers = self.belief.numbers
 
         def takes(step: Step) -> float:
             return takes_s(domain, step, state, numbers)

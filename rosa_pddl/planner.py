@@ -218,14 +218,16 @@ class _Planning:
     @property
     def _may_search(self) -> bool:
         """Whether the search in this process may answer."""
-        planner, problem = self._planner, self._problem
+        planner = self._planner
+        problem = self._problem
         is_plain = not (problem.soft or problem.until or planner.overlapping)
         return is_plain and planner.engine == OPTIMAL and planner.moves > 0
 
     @property
     def _main_engine(self) -> str:
         """The engine that plans beyond the search: Fast Downward only without numbers and time."""
-        engine, problem = self._planner.engine, self._problem
+        engine = self._planner.engine
+        problem = self._problem
         if engine not in DOWNWARD:
             return engine
         if self._domain.only_planned or problem.soft or problem.until:
@@ -309,7 +311,8 @@ class _Planning:
         return PlanningResult(answer.outcome, steps, schedule=tuple(timed) if is_schedule else ())
 
     def _text(self, engine: str) -> PddlText:
-        domain, problem = self._domain, self._problem
+        domain = self._domain
+        problem = self._problem
         if self._planner.overlapping:
             return problem.write("overlapping")
         if engine in DOWNWARD:
@@ -352,8 +355,10 @@ class _Planning:
         """Replay a plan; raise PlanningFailed if it does not work."""
         if not answer.outcome.is_solved or self._domain.only_planned:
             return answer
-        problem, domain = self._problem, self._domain
-        state, costs = problem.state, problem.costs
+        problem = self._problem
+        domain = self._domain
+        state = problem.state
+        costs = problem.costs
         if answer.schedule:
             schedule = answer.schedule
             wrong = schedule_flaw(domain, schedule, state, problem.wanted, problem.until, costs)
@@ -371,7 +376,8 @@ class _Planning:
     def _report(
         self, answer: PlanningResult, strategy: str, attempts: list[Attempt]
     ) -> PlanningResult:
-        domain, outcome = self._domain, answer.outcome
+        domain = self._domain
+        outcome = answer.outcome
         tried = tuple(attempts)
         if outcome.is_solved:
             cost = self._cost(answer.steps)

@@ -477,14 +477,16 @@ def _effect_text(effect: Effect, time: str) -> str:
 
 def _action_text(schema: Schema) -> str:
     times = ("", "", "")
-    head, needed = ":action", ":precondition"
+    head = ":action"
+    needed = ":precondition"
     if schema.duration is not None:
         least, most = (text_of(bound_s) for bound_s in schema.duration)
         times = ("at start", "over all", "at end")
         duration = f"(and (>= ?duration {least}) (<= ?duration {most}))"
         if least == most:
             duration = f"(= ?duration {least})"
-        head, needed = ":durative-action", f":duration {duration} :condition"
+        head = ":durative-action"
+        needed = f":duration {duration} :condition"
     conditions = list[str]()
     for time, formulas in zip(times, (schema.start, schema.over_all, schema.end), strict=True):
         conditions += [_timed_text(text_of(formula), time) for formula in formulas]

@@ -95,7 +95,8 @@ def parse(text: str, file: str) -> Tree:
             stack[-1].append(inner)
         elif not token[0].isspace() and token[0] != ";":
             word = Word(token)
-            word.file, word.line = file, line
+            word.file = file
+            word.line = line
             word.column = match.start() - line_start + 1
             stack[-1].append(word)
         if "\n" in token:
@@ -419,7 +420,8 @@ def _read(
             raise PddlError(wrong.message, place.file, place.line, place.column) from None
     root = parse(domain, file)
     if problem is None:
-        problem, problem_file = f"(define (problem {root[1][1]}) (:goal ()))", "no problem file"
+        problem = f"(define (problem {root[1][1]}) (:goal ()))"
+        problem_file = "no problem file"
     tasks = parse(problem.removeprefix("\ufeff"), problem_file)
     only_planned = ", ".join(sorted(features & _ONLY_PLANNED))
     with _guarded(file):

@@ -117,17 +117,8 @@ class Goals:
         self.version += goals != self._goals
         self._goals = goals
 
-    def __contains__(self, text: object) -> bool:
-        return text in self._goals
-
     def __iter__(self) -> Iterator[Goal]:
         return iter(tuple(self._goals.values()))
-
-    def __len__(self) -> int:
-        return len(self._goals)
-
-    def __repr__(self) -> str:
-        return f"Goals({', '.join(str(goal) for goal in self)})"
 
     def _read(self, text: str, worth: float | None = None) -> tuple[Goal, ...]:
         if not isinstance(text, str):
@@ -334,7 +325,7 @@ class PlannerClient:
         return question, result
 
     def catch_up(self) -> None:
-        """Wait for an answer that is due, at most for the planner's time limit and a little more."""
+        """Wait for an answer that is due, at most a little longer than the planner may take."""
         if self._question is None or self._delay_s is None or not self._is_due(self._question):
             return
         try:
@@ -391,7 +382,8 @@ def diagnosis(problem: Problem, goals: Sequence[Goal]) -> Diagnosis:
     """
     domain = problem.domain.with_numbers(problem.costs)
     holding = [goal for goal in goals if goal_holds(domain, problem.state, [goal.expression])]
-    reachable, missed = list(holding), list[str]()
+    reachable = list(holding)
+    missed = list[str]()
     for goal in goals if len(goals) > 1 else ():
         if goal in holding:
             continue
@@ -502,7 +494,10 @@ class Replanning:
         return self._wanted is not None or self._client.is_under_way
 
     def why_no_plan(self, state: State) -> str | None:
-        """Return why there is no plan from a state, if that is known; None if the planner is asked."""
+        """Return why there is no plan from a state, if that is known.
+
+        None if the planner is asked.
+        """
         dead_end = self._dead_end
         if dead_end is None or self._clock() >= dead_end.until_s:
             return None
@@ -568,11 +563,13 @@ class Replanning:
     def take(self, state: State) -> PlanExecution | None:
         """Take the answer; return the plan, if there is one."""
         question, result = self._client.take()
-        problem, decision = question.problem, question.decision
+        problem = question.problem
+        decision = question.decision
         if decision is None:
             self._diagnose(result, state)
             return None
-        domain, outcome = self._effects.domain, result.outcome
+        domain = self._effects.domain
+        outcome = result.outcome
         if outcome.is_solved:
             assumed = self._effects.assumptions(result.steps, state)
             result = replace(result, message="; ".join(assumed))

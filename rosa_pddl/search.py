@@ -6,8 +6,8 @@ exact, so sums and comparisons with a limit are exact. A cap on the number of mo
 never the clock, so the same task always has the same answer.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from heapq import heapify, heappop, heappush
 from itertools import chain
 from math import inf
@@ -19,6 +19,7 @@ from rosa_pddl.domain import (
     Binding,
     Domain,
     Exact,
+    Formula,
     Number,
     Schema,
     State,
@@ -61,7 +62,10 @@ class CapReached(Exception):
 
 
 class Move(NamedTuple, Generic[S, T]):
-    """One step: the state after it, its cost, and its use of each limited resource; not negative."""
+    """One step: the state after it, its cost, and its use of each limited resource.
+
+    Not negative.
+    """
 
     to: S
     cost: Any
@@ -321,15 +325,14 @@ class TaskGraph:
         for goal in self._goals:
             if goal[0] in ("<", "<=", "="):
                 self._value(("+", *goal[1:]))
-        facts = [fact for fact in problem.state if head_of(fact) not in raised]
-        self.start = frozenset(facts)
+        self._read = _read_by_steps(domain) | names_in(self._goals)
+        heads = self._read - raised
+        self.start = frozenset(fact for fact in problem.state if head_of(fact) in heads)
         self._least: dict[State, tuple[float, Sequence[float]]] = {}
         self._steps = list(self._priced(task))
-        self._by_need: dict[str | None, list[int]] = {}
-        needed = Counter(chain.from_iterable(each.needs for each, _, _ in self._steps))
-        for number, (each, _, _) in enumerate(self._steps):
-            rarest = min(sorted(each.needs), key=needed.__getitem__, default=None)
-            self._by_need.setdefault(rarest, []).append(number)
+        # what never changes and is only needed has been looked at
+        schemas = {name: self._slim(schema) for name, schema in domain.schema_of.items()}
+        self._domain = domain.with_schemas(schemas)
         atoms = [text_of(goal) for goal in self._goals if goal[0] == "atom"]
         self._atoms = [atom for atom in atoms if head_of(atom) not in domain.derived]
         self._distances = list[list[dict[str | None, float]]]()
@@ -337,12 +340,22 @@ class TaskGraph:
             arcs = list(self._arcs(amount))
             self._distances.append([distances(arcs, [atom]) for atom in sorted(self._atoms)])
 
+    def _slim(self, schema: Schema) -> Schema:
+        """Return an action without the conditions that hold throughout."""
+
+        def open_ones(formulas: Iterable[Formula]) -> tuple[Formula, ...]:
+            parts = conjuncts(formulas)
+            return tuple(part for part in parts if part[0] != "atom" or part[1] in self._read)
+
+        start, over_all, end = map(open_ones, (schema.start, schema.over_all, schema.end))
+        return replace(schema, start=start, over_all=over_all, end=end)
+
     def _priced(self, task: Grounded) -> Iterator[tuple[GroundStep, Number, tuple[Exact, ...]]]:
         """Yield the steps that the lasting facts allow, with their costs and uses."""
         for each in task.steps:
             step = each.step
             weight = self._problem.weights.get(step, 1)
-            if not weight or not each.needs - self._moving <= self.start:
+            if not weight or not each.needs - self._moving <= self._problem.state:
                 continue
             cost = cost_of(self._domain, step)
             if not any(head_of(text) in self._domain.computed for text in texts_in(cost)):
@@ -375,11 +388,7 @@ class TaskGraph:
     def moves(self, state: State) -> Iterator[Move[State, Step]]:
         """Yield the moves that are possible in a state and change it."""
         domain = self._domain
-        numbers = list(self._by_need.get(None, ()))
-        for atom in state & self._moving:
-            numbers += self._by_need.get(atom, ())
-        for number in sorted(numbers):
-            (step, needs, _, _), cost, uses = self._steps[number]
+        for (step, needs, _, _), cost, uses in self._steps:
             if not needs <= state or missing_at_start(domain, step, state) is not None:
                 continue
             after = ended(domain, step, started(domain, step, state))
@@ -407,6 +416,18 @@ class TaskGraph:
             length = (0 if isinstance(cost, tuple) else cost, *uses)[amount]
             for after in sorted(adds):
                 yield before, after, length
+
+
+def _read_by_steps(domain: Domain) -> set[str]:
+    """Return the predicates and numbers that steps change, or do not simply need."""
+    names = set[str]()
+    for schema in domain.schema_of.values():
+        names |= names_in(part for part in conjuncts(schema.conditions) if part[0] != "atom")
+        for effect in schema.effects:
+            names |= {effect.name} | names_in([effect.condition, effect.amount])
+    for axioms in domain.axioms.values():
+        names |= names_in(axiom.condition for axiom in axioms)
+    return names | domain.derived
 
 
 def _raised(domain: Domain) -> set[str]:

@@ -71,7 +71,6 @@ class Values:
         facts: the true atoms, and the values of numbers that are part of a state.
         numbers: the values of other numbers, where they differ from the problem file.
         derived: the derived atoms, if they are known already.
-        computed: the numbers that are part of the state, if they are known already.
     """
 
     def __init__(
@@ -80,12 +79,11 @@ class Values:
         facts: Facts,
         numbers: Mapping[str, float] | None = None,
         derived: Facts | None = None,
-        computed: Mapping[str, Exact | None] | None = None,
     ) -> None:
         self.domain = domain
         self.facts = facts
         self._others = numbers or {}
-        self._in_state = computed
+        self._in_state: Mapping[str, Exact] | None = None
         self._derived = derived if domain.axioms else frozenset()
 
     def holds(self, formula: Formula, binding: Binding) -> bool:
@@ -225,7 +223,8 @@ def changes(
 ) -> tuple[set[str], set[str]]:
     """Return the facts that effects make false and true; if both, true wins, as in PDDL."""
     values = Values(domain, state)
-    added, deleted = set[str](), set[str]()
+    added = set[str]()
+    deleted = set[str]()
     numbers = dict[str, Exact | None]()
     for effect in effects:
         if effect.is_numeric and effect.name not in domain.computed:
@@ -333,7 +332,8 @@ def _happen(
     left: dict[str, float],
 ) -> str | None:
     """Apply the events of one moment to facts and times left; return why it cannot be, or None."""
-    gone, come = set[str](), set[str]()
+    gone = set[str]()
+    come = set[str]()
     touched: list[tuple[int, AbstractSet[str], AbstractSet[str]]] = []
     for number, is_end in moment:
         step = steps[number]

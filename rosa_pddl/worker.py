@@ -8,6 +8,7 @@ segmentation fault.
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -203,4 +204,4 @@ if __name__ == "__main__":
         os.dup2(2, 1)  # what engines print does not disturb the answers
         for line in sys.stdin:
             print(json.dumps(solve(json.loads(line))), file=output, flush=True)
-    os._exit(0)  # engines may leave threads running
+    os.kill(os.getpid(), signal.SIGKILL)  # engines may leave threads running

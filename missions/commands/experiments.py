@@ -121,8 +121,8 @@ def report(
         return
     results = Results(source)
     with needs("plot", "the report on a campaign"):  # before anything is written
-        import matplotlib  # noqa: F401
-        import scipy  # noqa: F401
+        import matplotlib  # noqa: F401  # if it is missing
+        import scipy  # noqa: F401  # if it is missing
     from missions.experiments.report import write_report
 
     for path in write_report(results, out or source / "report", figures=figures or ()):

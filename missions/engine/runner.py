@@ -437,8 +437,9 @@ class RosaRun(MissionRun):
         kind = self.mission.world
         title = f"what verdict() of {type(kind).__name__} gives"
         verdict = built(title, Verdict, partial(kind.verdict, self.percepts, results, self._kb))
-        details = "" if verdict.success else self._shortcoming()
-        return verdict._replace(reason="; ".join(filter(None, (verdict.reason, details))))
+        more = "" if verdict.success else self._shortcoming()
+        reason = "; ".join(filter(None, (verdict.reason, more)))
+        return Verdict(verdict.outcome, reason, verdict.detail)
 
     def _shortcoming(self) -> str:
         """Return what kept the run from the goal, in words, as far as the records show it."""

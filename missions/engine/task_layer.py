@@ -9,7 +9,6 @@ from py_trees.behaviour import Behaviour
 from py_trees.decorators import Decorator, FailureIsRunning
 
 from kb import KnowledgeBase
-from missions.engine.adaptations import plans_after
 from missions.engine.mission import Mission, built
 from missions.engine.percepts import Percepts
 from missions.engine.settings import MissionError
@@ -40,8 +39,6 @@ class TaskLayer:
         self.errors = errors
         self._planning: list[Any] = [part for part in root.iterate() if has_plans(part)]
         self._waiting = [part for part in self._planning if hasattr(part, "catch_up")]
-        self._last: list[PlanRecord | None] = [None] * len(self._planning)
-        self._plans: tuple[PlanRecord, ...] = ()
         while isinstance(root, Decorator):
             root = root.decorated
         self.is_planned = root in self._waiting
@@ -54,12 +51,11 @@ class TaskLayer:
             raise self.errors[0]
 
     def plans(self) -> tuple[PlanRecord, ...]:
-        """Return the last plans in the order in which this method found them, numbered from 1."""
-        for number, behaviour in enumerate(self._planning):
-            for plan in plans_after(self._last[number], behaviour.plans):
-                self._last[number] = plan
-                self._plans = plan.added_to(self._plans)
-        return self._plans
+        """Return the last plans of all behaviours, in the order in which they were asked for."""
+        if len(self._planning) == 1:
+            return tuple(self._planning[0].plans)
+        plans = [plan for behaviour in self._planning for plan in behaviour.plans]
+        return tuple(sorted(plans, key=lambda plan: plan.at_s))
 
     def findings(self) -> Sequence[str]:
         """Return what may be mistakes in the PDDL, as sentences, each once."""

@@ -42,7 +42,7 @@ class Change(NamedTuple):
     """A change: an attribute is measured or stale, a component fails (True) or recovers."""
 
     name: str
-    to: float | bool | str
+    to: Value | bool
 
     def __str__(self) -> str:
         if isinstance(self.to, bool):
@@ -57,16 +57,10 @@ class Change(NamedTuple):
             kb.component_failed(self.name)
         elif self.to is False:
             kb.component_recovered(self.name)
+        elif isinstance(self.to, float):
+            kb.measure(self.name, self.to)
         else:
-            measure(kb, self.name, self.to)
-
-
-def measure(kb: KnowledgeBase, attribute: str, value: Value) -> None:
-    """Measure an attribute, or let it be unknown."""
-    if isinstance(value, float):
-        kb.measure(attribute, value)
-    else:
-        kb.replay(Event(kb.log.last + 1, kb.now, STALE, (attribute,)))
+            kb.replay(Event(kb.log.last + 1, kb.now, STALE, (self.name,)))
 
 
 def without_debouncing(model: Model) -> Model:
@@ -75,11 +69,9 @@ def without_debouncing(model: Model) -> Model:
     Hysteresis, dwell and agreement only delay what is explored anyway.
     """
     for constraint in model.constraints:
-        if constraint.hysteresis or constraint.dwell:
-            model.change(constraint, hysteresis=0.0, dwell=0.0)
+        model.change(constraint, hysteresis=0.0, dwell=0.0)
     for attribute in model.attributes.values():
-        if attribute.agreement != (1, 1):
-            model.change(attribute, agreement=(1, 1))
+        model.change(attribute, agreement=(1, 1))
     return model
 
 

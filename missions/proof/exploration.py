@@ -6,7 +6,7 @@ and the manager takes its turns again.
 
 import time
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from py_trees.blackboard import Blackboard
@@ -152,10 +152,8 @@ class Exploration:
             return ""
         deeds = self.situations[number].deeds
         for deed in deeds:
-            if deed.startswith("instead "):
-                action = deed.removeprefix("instead ")
-                wanted = "write do_until_unfeasible(task, meanwhile)"
-                return f"the success of {action} ends the mission; {wanted}"
+            if deed.startswith("the success of "):
+                return f"{deed}; write do_until_unfeasible(task, meanwhile)"
         goal = self.rig.setup.causes.goal
         lacking = sorted(effect for effect in goal if f"{effect} done" not in deeds)
         return f"it ends, and nothing has brought about {', '.join(lacking)}" if lacking else ""
@@ -165,14 +163,10 @@ class Exploration:
 
         The nearest first.
         """
-        reached = [0]
-        seen = {0}
-        for number in reached:
-            for each in self.rounds[number]:
-                if each.is_caused and each.after not in seen:
-                    seen.add(each.after)
-                    reached.append(each.after)
-        return reached
+        onward: dict[int, list[int]] = {}
+        for number, rounds in enumerate(self.rounds):
+            onward[number] = [each.after for each in rounds if each.is_caused]
+        return _closure([0], onward)
 
     def first(self, bad: Iterable[int], what: str) -> Wrong | None:
         """Return what is wrong in these situations, with the rounds to the nearest of them.
@@ -195,13 +189,7 @@ class Exploration:
             for each in self.rounds[number]:
                 if each.is_caused and each.after in inside and not (still and each.step.changes):
                     before[each.after].append(number)
-        reached = set(goals)
-        pending = list(reached)
-        while pending:
-            new = set(before[pending.pop()]) - reached
-            reached |= new
-            pending += new
-        return reached
+        return {*_closure(goals, before)}
 
     def load(self, situation: Situation) -> Rig:
         """Put the parts of the mission into a situation and return them."""
@@ -294,3 +282,15 @@ class Exploration:
             if predicate(rig):
                 self.holds[predicate].add(number)
         return number
+
+
+def _closure(start: Iterable[int], onward: Mapping[int, Iterable[int]]) -> list[int]:
+    """Return all numbers that can be reached from some, the nearest first."""
+    pending = [*start]
+    reached = {*pending}
+    for number in pending:
+        for after in onward.get(number, ()):
+            if after not in reached:
+                reached.add(after)
+                pending.append(after)
+    return pending

@@ -123,10 +123,6 @@ class _Writer(pickle.Pickler):
             return ("object", number)
         if is_fixed(value):
             return ("fixed", memory.fixed.setdefault(value, len(memory.fixed)))
-        if isinstance(value, Mapping):
-            return ("dict", sorted(value.items(), key=repr))
-        if isinstance(value, set | frozenset):
-            return (type(value).__name__, sorted(value, key=repr))
         return None
 
 
@@ -134,11 +130,10 @@ class _Reader(pickle.Unpickler):
     def __init__(self, file: BytesIO, memory: Memory) -> None:
         super().__init__(file)
         self._objects = {"object": memory.objects, "fixed": [*memory.fixed]}
-        self._kinds = {"dict": dict, "set": set, "frozenset": frozenset}
 
     def persistent_load(self, key: Any) -> Any:  # noqa: ANN401  # any value of a program
-        kind, content = key
-        return self._kinds[kind](content) if kind in self._kinds else self._objects[kind][content]
+        kind, number = key
+        return self._objects[kind][number]
 
 
 def is_fixed(value: object) -> bool:
@@ -147,8 +142,10 @@ def is_fixed(value: object) -> bool:
 
 
 def _content(each: Any) -> Any:  # noqa: ANN401  # any object of a program
-    if isinstance(each, dict | set):
-        return each.copy()  # a copy is not known
+    if isinstance(each, dict):
+        return sorted(each.items(), key=repr)
+    if isinstance(each, set):
+        return sorted(each, key=repr)
     if isinstance(each, list | deque):
         return [*each]
     if isinstance(each, Behaviour) and each.status is not Status.RUNNING:

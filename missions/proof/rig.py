@@ -30,7 +30,6 @@ from missions.proof.environment import (
     Change,
     Environment,
     Facts,
-    measure,
     without_debouncing,
 )
 from missions.proof.setup import Leaf, Senses, Setup
@@ -247,7 +246,7 @@ class Rig(VisitorBase):
         self.is_caused = True
         self.runner.tick()
         instead = self._instead(self.root) if self.root.status is Status.SUCCESS else ""
-        self.deeds |= {f"instead {instead}"} if instead else set()
+        self.deeds |= {f"the success of {instead} ends the mission"} if instead else set()
 
     def settle(self) -> tuple[str, ...]:
         """Let the manager take its turns until it has nothing to do.
@@ -305,25 +304,19 @@ class Rig(VisitorBase):
             return
         for action in {action for action, _ in {*present.requested} - {*facts.requested}}:
             kb.cancel_action(action)
-        for name in present.failed - facts.failed:
-            kb.component_recovered(name)
+        for name in present.failed ^ facts.failed:
+            Change(name, name in facts.failed).apply(kb)
         for name, value in {*facts.values} - {*present.values}:
-            measure(kb, name, value)
-        for name in facts.failed - present.failed:
-            kb.component_failed(name)
+            Change(name, value).apply(kb)
         for name in present.active ^ facts.active:
             kb.component_active(name, name in facts.active)
         tables: dict[str, Any] = {"function design": kb.designs, "configuration": kb.configurations}
         for kind, name in present.selected ^ facts.selected:
             kb.assert_selected(tables[kind][name], (kind, name) in facts.selected)
         for action, preference in {*facts.requested} - {*present.requested}:
-            view = kb.actions[action]
-            is_feasible = kb.is_feasible(action)
-            if not is_feasible:
-                kb.assert_status(view, "feasible")
+            kb.assert_status(kb.actions[action], "feasible")  # it may have been requested earlier
             kb.request_action(action, preference or None)
-            if not is_feasible:
-                kb.retract_status(view)
+            kb.retract_status(kb.actions[action])
         self._facts = kb.revision, facts
 
     # what properties ask

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from inspect import Parameter, signature
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -144,7 +143,7 @@ class Proof:
 
 
 def verify(
-    build_tree: Callable[..., Behaviour],
+    build_tree: Callable[[KnowledgeBase], Behaviour],
     model: Callable[[], Model],
     *,
     suggest: bool = False,
@@ -159,14 +158,7 @@ def verify(
         suggest: look for what mends a broken tree, see `Finding.advice`.
         options: of `Setup`.
     """
-    parameters = signature(build_tree).parameters.values()
-    kinds = [each.kind for each in parameters if each.default is each.empty]
-    takes_percepts = kinds.count(Parameter.POSITIONAL_OR_KEYWORD) > 1
-
-    def build(kb: KnowledgeBase, senses: Senses) -> Behaviour:
-        return build_tree(kb, senses) if takes_percepts else build_tree(kb)
-
-    return prove(Setup(build, model, **options), suggest=suggest)
+    return prove(Setup(lambda kb, senses: build_tree(kb), model, **options), suggest=suggest)
 
 
 def setup_of(mission: Mission, **options: Any) -> Setup:  # noqa: ANN401  # of Setup

@@ -8,10 +8,10 @@ import math
 import tomllib
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 from kb import ComponentKind, KnowledgeBase, Status
 from kb.elements import Parameters
@@ -35,12 +35,15 @@ _CONFIGURE, _ACTIVATE, _DEACTIVATE = 1, 3, 4
 """Transitions of lifecycle_msgs/Transition."""
 Calls = Generator[Reply, Message, None]
 _log = logging.getLogger(__name__)
-_ITEMS: Final = {
-    "timeouts": ((int, float), "numbers"),
-    "diagnostics": ((str, dict), "texts or tables"),
+_WORDS: Final[Mapping[Any, str]] = {
+    str: "a text",
+    bool: "true or false",
+    float: "a number",
+    Mapping[str, str]: "a table of texts",
+    Mapping[str, float]: "a table of numbers",
+    Mapping[str, Any]: "a table",
 }
-"""What the tables of `bridge.toml` hold; any other one texts."""
-_WORDS: Final = {str: "a text", bool: "true or false", float: "a number"}
+"""What a field of each type holds."""
 
 
 @dataclass(frozen=True)
@@ -95,26 +98,23 @@ class BridgeSettings:
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise MissionError(f"cannot read {path}: {reason}") from None
-        defaults = vars(cls())
+        kinds = {field.name: field.type for field in fields(cls)}
         for name, value in values.items():
-            if name not in defaults:
-                fields = ", ".join(defaults)
-                raise MissionError(f"{path} has an unknown field {name!r}; known are {fields}")
-            kind = type(defaults[name])
-            if kind is dict:
-                item, words = _ITEMS.get(name, (str, "texts"))
-                words = f"a table of {words}"
-                is_right = isinstance(value, dict) and all(_is(v, item) for v in value.values())
-            else:
-                words = _WORDS[kind]
-                is_right = _is(value, (int, float) if kind is float else kind)
-            if not is_right:
-                raise MissionError(f"{name} in {path} must be {words}")
+            if name not in kinds:
+                names = ", ".join(kinds)
+                raise MissionError(f"{path} has an unknown field {name!r}; known are {names}")
+            if not _fits(value, kinds[name]):
+                raise MissionError(f"{name} in {path} must be {_WORDS[kinds[name]]}")
         return cls(**values)
 
 
-def _is(value: object, kind: Any) -> bool:  # noqa: ANN401  # a type or a tuple of types
-    return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
+def _fits(value: object, kind: Any) -> bool:  # noqa: ANN401  # an annotation
+    if kind is float:
+        return type(value) in (int, float)
+    if kind in (str, bool, Any):
+        return kind is Any or type(value) is kind
+    item = get_args(kind)[1]
+    return isinstance(value, dict) and all(_fits(entry, item) for entry in value.values())
 
 
 @dataclass(eq=False)

@@ -301,10 +301,9 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
             self._write("/behavior_tree", ros.STRING, now, dict, {"data": self._tree.xml})
         changes = []
         for node, number in self._tree.numbers.items():
-            before = self._statuses[number]
             status = "IDLE" if node.status is Status.INVALID else node.status.name
-            if status != before:
-                changes.append((node.name, number, before, status))
+            if status != self._statuses[number]:
+                changes.append((node.name, number, self._statuses[number], status))
                 self._statuses[number] = status
         if changes:
             self._write("/behavior_tree_log", ros.TREE_LOG, now, ros.tree_log, now, changes)
@@ -340,17 +339,17 @@ class Bag:
 
     def _commands(self) -> list[tuple[str, str, float, bool]]:
         """Return the commands: command, component, duration [s], and whether it succeeded."""
-        commands = []
+        commands = {}
         attempts = [event for event in self.events if event.verb == "record_attempt"]
         for event in self.events:
             if event.verb == "finish_attempt":
                 number, result, *_ = event.arguments
                 attempt = attempts[number - 1]
                 _, component, operation, *_ = attempt.arguments
+                is_done = result == "completed"
                 duration_s = event.time - attempt.time
-                command = _COMMANDS[operation]
-                commands.append((number, (command, component, duration_s, result == "completed")))
-        return [command for _, command in sorted(commands)]
+                commands[number] = (_COMMANDS[operation], component, duration_s, is_done)
+        return [commands[number] for number in sorted(commands)]
 
 
 def is_bag(path: str | Path) -> bool:

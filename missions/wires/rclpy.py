@@ -222,9 +222,7 @@ class RclpyNode(Node):
     def publishers(self, topic: str) -> int:
         return len(self._node.get_publishers_info_by_topic(topic))
 
-    def _partner(  # an object of rclpy
-        self, place: str, kind: str, create: Callable[..., Any], *more: object
-    ) -> Any:  # noqa: ANN401
+    def _partner(self, place: str, kind: str, create: Callable[..., Any], *more: object) -> Any:  # noqa: ANN401  # an object of rclpy
         """Return a publisher or a client; it is made when it is first needed."""
         with self._lock:
             if (place, kind) not in self._partners:

@@ -6,7 +6,7 @@ The XML element of a node fills each port with a literal or with a key of the bl
 from collections.abc import Callable, Container, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, Final, get_origin
+from typing import Any, get_origin
 
 from py_trees.common import Status
 from py_trees.ports import PortInformation, PortsMixin
@@ -97,11 +97,11 @@ class Blackboard(MutableMapping[str, Any]):
         autoremap: bool = False,
         enums: Mapping[str, int] | None = None,
     ) -> None:
-        self.parent: Final = parent
-        self.root: Final[Blackboard] = self if parent is None else parent.root
+        self.parent = parent
+        self.root: Blackboard = self if parent is None else parent.root
         self.has_own_clock = False
         self.read_clock = clock
-        self.enums: Final[Mapping[str, int]] = enums or {}
+        self.enums: Mapping[str, int] = enums or {}
         self._remapping: dict[str, str] = {}
         self._autoremap = autoremap
         self._entries: dict[str, Entry] = {}
@@ -222,10 +222,10 @@ class Ports:
     def __init__(
         self, declared: Declared, written: Mapping[str, str], blackboard: Blackboard
     ) -> None:
-        self.blackboard: Final = blackboard
+        self.blackboard = blackboard
         self._declared = declared
-        self.keys: Final[dict[str, str]] = {}
-        self.literals: Final[dict[str, Value]] = {}
+        self.keys: dict[str, str] = {}
+        self.literals: dict[str, Value] = {}
         self._seen = 0
         for name, text in written.items():
             if name not in declared:

@@ -5,7 +5,7 @@ Also where py_trees has nodes of the same name.
 
 from contextlib import suppress
 from types import GenericAlias
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -126,13 +126,12 @@ class ReactiveFallback(ReactiveSequence):
     is_reactive_sequence = False
 
 
-class Parallel(Control):
+class Parallel(Control, success_count=port(int, -1), failure_count=port(int, 1)):
     """Ends as soon as enough children have succeeded or failed.
 
     The others are halted, or no longer ticked.
     """
 
-    PORTS: ClassVar = {"success_count": port(int, -1), "failure_count": port(int, 1)}
     is_side_by_side = True
 
     def decide(self) -> Ticking:
@@ -170,10 +169,8 @@ class Parallel(Control):
         return number if number >= 0 else max(count + number + 1, 0)
 
 
-class ParallelAll(Parallel):
+class ParallelAll(Parallel, max_failures=port(int, 1)):
     """Ends when all children have finished: FAILURE if `max_failures` of them failed."""
-
-    PORTS: ClassVar = {"max_failures": port(int, 1)}
 
     def judge(self, skipped: int, failures: int) -> Status | None:  # type: ignore[override]  # as many as PORTS
         failed = self.count_ended(FAILURE)
@@ -265,18 +262,13 @@ class Switch(Control, is_node=False):
 
 
 for _cases in range(2, 7):
-    _ports = ["variable", *(f"case_{number + 1}" for number in range(_cases))]
-    type(
-        f"Switch{_cases}",
-        (Switch,),
-        {
-            "PORTS": {name: port(str, required=False) for name in _ports},
-            "CHILDREN": (_cases + 1, _cases + 1),
-        },
-    )
+    _names = ["variable", *(f"case_{number + 1}" for number in range(_cases))]
+    _children = {"CHILDREN": (_cases + 1, _cases + 1)}
+    _ports = {name: port(str, required=False) for name in _names}
+    type(f"Switch{_cases}", (Switch,), _children, **_ports)
 
 
-class TryCatch(Control):
+class TryCatch(Control, catch_on_halt=port(bool, False)):
     """A sequence of all but the last child.
 
     If one fails, the last child is ticked to its end: then FAILURE.
@@ -286,7 +278,6 @@ class TryCatch(Control):
     """
 
     CHILDREN = (2, MAX_NODES)
-    PORTS: ClassVar = {"catch_on_halt": port(bool, False)}
     FORGETS = ("_place", "_skipped")
     _place = 0
     _skipped = 0
@@ -355,10 +346,9 @@ class KeepRunningUntilFailure(Translator):
     skipped = RUNNING
 
 
-class Repeat(OneChild):
+class Repeat(OneChild, num_cycles=port(int)):
     """Ticks the child a number of times (-1: for ever), in the same tick if it was RUNNING."""
 
-    PORTS: ClassVar = {"num_cycles": port(int)}
     FORGETS = ("_count",)
     once_more = SUCCESS
     _count = 0
@@ -382,20 +372,18 @@ class Repeat(OneChild):
         return self.end(self.once_more)
 
 
-class RetryUntilSuccessful(Repeat):
+class RetryUntilSuccessful(Repeat, num_attempts=port(int)):
     """Ticks the child again after a failure."""
 
-    PORTS: ClassVar = {"num_attempts": port(int)}
     once_more = FAILURE
 
 
-class RunOnce(OneChild):
+class RunOnce(OneChild, then_skip=port(bool, True)):
     """Ticks the child to its end, once.
 
     After that it is skipped, or with then_skip="false" returns that outcome.
     """
 
-    PORTS: ClassVar = {"then_skip": port(bool, True)}
     _outcome = SKIPPED
 
     @property
@@ -436,19 +424,16 @@ class Timed(OneChild, is_node=False):
         return verdict
 
 
-class Delay(Timed):
+class Delay(Timed, delay_msec=port(int)):
     """Is RUNNING for `delay_msec` [ms]; then ticks the child."""
-
-    PORTS: ClassVar = {"delay_msec": port(int)}
 
     def decide(self) -> Ticking:
         return (yield from self.tick_child()) if self.is_over() else RUNNING
 
 
-class Timeout(Timed):
+class Timeout(Timed, msec=port(int)):
     """Halts the child, and fails, if it is RUNNING after `msec` [ms]; 0 is no limit."""
 
-    PORTS: ClassVar = {"msec": port(int)}
     FORGETS = ("_since", "_is_spent")
     _is_spent = False
 
@@ -460,13 +445,12 @@ class Timeout(Timed):
         return (yield from self.tick_child())
 
 
-class Precondition(OneChild):
+class Precondition(OneChild, **{"if": port(str), "else": port(Status, FAILURE)}):
     """Ticks the child if the script `if` is true; else returns `else`.
 
     Once the child runs, `if` is not asked.
     """
 
-    PORTS: ClassVar = {"if": port(str), "else": port(Status, FAILURE)}
     runs = False
     _is_begun = False
 
@@ -483,13 +467,12 @@ class Precondition(OneChild):
         return verdict
 
 
-class SkipUnlessUpdated(OneChild):
+class SkipUnlessUpdated(OneChild, entry=port(object)):
     """Ticks the child to its end each time that an entry was written.
 
     Otherwise returns `instead`.
     """
 
-    PORTS: ClassVar = {"entry": port(object)}
     FORGETS = ("_goes_on",)
     runs = False
     instead = SKIPPED
@@ -544,17 +527,23 @@ class Loop(OneChild, is_node=False):
         return FAILURE if verdict is FAILURE else RUNNING
 
 
-_LOOPS: Final = {"Int": int, "Double": float, "Bool": bool, "String": str}
+_LOOPS = {"Int": int, "Double": float, "Bool": bool, "String": str}
 for _name, _kind in _LOOPS.items():
-    _queue = {"queue": port(object), "value": port(_kind, required=False)}
-    type(f"Loop{_name}", (Loop,), {"PORTS": {**_queue, "if_empty": port(Status, SUCCESS)}})
+    _value = port(_kind, required=False)
+    type(
+        f"Loop{_name}",
+        (Loop,),
+        {},
+        queue=port(object),
+        value=_value,
+        if_empty=port(Status, SUCCESS),
+    )
 
 
-class RecoveryNode(Control):
+class RecoveryNode(Control, number_of_retries=port(int, 1)):
     """Ticks the first child; when it fails, the second, then the first again, some times."""
 
     CHILDREN = (2, 2)
-    PORTS: ClassVar = {"number_of_retries": port(int, 1)}
     FORGETS = ("_retries", "_is_recovering")
     _retries = 0
     _is_recovering = False
@@ -598,7 +587,7 @@ class PipelineSequence(Control):
         return self.end(SKIPPED if skipped == len(self.children) else SUCCESS)
 
 
-class RoundRobin(Control):
+class RoundRobin(Control, wrap_around=port(bool, False)):
     """Ticks the next child, until one succeeds or all failed.
 
     Without `wrap_around`, ends at the last.
@@ -607,7 +596,6 @@ class RoundRobin(Control):
     success.
     """
 
-    PORTS: ClassVar = {"wrap_around": port(bool, False)}
     FORGETS = ("_next", "_failed")
     _next = 0
     _failed = 0
@@ -650,10 +638,8 @@ class NonblockingSequence(Control):
         return RUNNING if is_open else self.end(SUCCESS)
 
 
-class PersistentSequence(Control):
+class PersistentSequence(Control, current_child_idx=port(int)):
     """A sequence that keeps its place on the blackboard, also when it is halted."""
-
-    PORTS: ClassVar = {"current_child_idx": port(int)}
 
     def decide(self) -> Ticking:
         start = self.ports.get("current_child_idx")
@@ -668,7 +654,11 @@ class PersistentSequence(Control):
         return self.end(SUCCESS)
 
 
-class PauseResumeController(Control):
+class PauseResumeController(
+    Control,
+    pause_service_name=port(str, required=False),
+    resume_service_name=port(str, required=False),
+):
     """Ticks the first child; while paused, the second.
 
     The third on a pause, the fourth on resuming.
@@ -676,10 +666,6 @@ class PauseResumeController(Control):
     Nav2 pauses and resumes it by two services; here, `pause` and `resume` are called.
     """
 
-    PORTS: ClassVar = {
-        "pause_service_name": port(str, required=False),
-        "resume_service_name": port(str, required=False),
-    }
     CHILDREN = (1, 4)
     FORGETS = ("_state", "_has_request")
     _state = 0  # place of the child that is ticked: 0 resumed, 1 paused, 2 on pause, 3 on resume
@@ -733,10 +719,9 @@ class Anew(OneChild, is_node=False):
         return (yield from self.child.tick())
 
 
-class RateController(Anew):
+class RateController(Anew, hz=port(float, 10.0)):
     """Ticks the child at the start, while it is RUNNING, and 1 / `hz` [s] after it succeeded."""
 
-    PORTS: ClassVar = {"hz": port(float, 10.0)}
     _since = 0.0
 
     def decide(self) -> Ticking:

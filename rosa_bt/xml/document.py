@@ -5,23 +5,22 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Final
 from xml.etree import ElementTree
 from xml.parsers.expat import ExpatError, ParserCreate
 
 from rosa_bt.exceptions import XmlError, hint
 from rosa_bt.xml.nodes import RULES
 
-MAX_SIZE: Final = 1_000_000
+MAX_SIZE = 1_000_000
 """Greatest size of a file or text [bytes]."""
-MAX_DEPTH: Final = 100
+MAX_DEPTH = 100
 """Most levels of nodes in a tree with all its subtrees, and of files that include each other."""
-EXPLICIT: Final = ("Action", "Condition", "Control", "Decorator")
+EXPLICIT = ("Action", "Condition", "Control", "Decorator")
 """Tags of elements whose ID is the name of the node."""
 
-_VALUE: Final = re.compile(r"""=\s*("[^"]*"|'[^']*')""")
-_IGNORED: Final = re.compile(r"<!--.*?-->|\A\s*<\?xml.*?\?>", re.DOTALL)
-_BARE: Final = re.compile(r"&(?!#\d+;|#x[0-9a-fA-F]+;|(?:amp|lt|gt|quot|apos);)")
+_VALUE = re.compile(r"""=\s*("[^"]*"|'[^']*')""")
+_IGNORED = re.compile(r"<!--.*?-->|\A\s*<\?xml.*?\?>", re.DOTALL)
+_BARE = re.compile(r"&(?!#\d+;|#x[0-9a-fA-F]+;|(?:amp|lt|gt|quot|apos);)")
 
 Note = Callable[[str, str], None]
 """Called with a place (file and line) and a warning."""
@@ -122,7 +121,7 @@ def _parse_strictly(text: str | bytes, file: str) -> Element:
     return builder.close()  # type: ignore[return-value]  # made by its factory
 
 
-_NODES: Final = {
+_NODES = {
     "SubTreePlus": "SubTree",
     "SubtreePlus": "SubTree",
     "SequenceStar": "SequenceWithMemory",
@@ -130,15 +129,15 @@ _NODES: Final = {
     "RetryUntilSuccesful": "RetryUntilSuccessful",
 }
 """Nodes of version 3 that have another name in version 4."""
-_PORTS: Final = {
+_PORTS = {
     "Parallel threshold": "success_count",
     "Parallel success_threshold": "success_count",
     "Parallel failure_threshold": "failure_count",
     "SubTree __autoremap": "_autoremap",
 }
-_CHECKS: Final = tuple(f"BlackboardCheck{kind}" for kind in ("Bool", "Double", "Int", "String"))
-_NO_COUNTERPART: Final = ("ConsumeQueue", "ManualSelector", "PopFromQueue", "QueueSize")
-MARKS: Final = frozenset({*_NODES, *_CHECKS})
+_CHECKS = tuple(f"BlackboardCheck{kind}" for kind in ("Bool", "Double", "Int", "String"))
+_NO_COUNTERPART = ("ConsumeQueue", "ManualSelector", "PopFromQueue", "QueueSize")
+MARKS = frozenset({*_NODES, *_CHECKS})
 """Nodes by which a file without BTCPP_format is known to be of version 3."""
 
 
@@ -167,7 +166,7 @@ def convert(root: Element, note: Note) -> None:
                     note(element.where, f"version 3 is converted: {before} is {after}")
 
 
-_SHARED: Final = "__shared_blackboard"
+_SHARED = "__shared_blackboard"
 
 
 def _converted(element: Element, trees: list[str | None]) -> Iterator[tuple[str, str]]:
@@ -225,8 +224,8 @@ def _convert_check(element: Element, *, is_text: bool) -> None:
 
 
 _log = logging.getLogger(__name__)
-_FORBIDDEN: Final = re.compile(r"[\s./\\:*?|<>&\"'\x00-\x1f]")
-MODELS: Final = (*EXPLICIT, "SubTree")
+_FORBIDDEN = re.compile(r"[\s./\\:*?|<>&\"'\x00-\x1f]")
+MODELS = (*EXPLICIT, "SubTree")
 
 
 class Document:
@@ -262,12 +261,12 @@ class Document:
     def main(self, name: str | None) -> str:
         """Return the ID of the tree to make: this name, the main tree, or the only one."""
         name = name or self.root.get("main_tree_to_execute")
-        if name is None and len(self.trees) == 1:
-            (name,) = self.trees
         if name is None:
-            names = ", ".join(self.trees) or "none"
-            advice = "say load_xml(..., tree=...) or write main_tree_to_execute in <root>"
-            raise self.root.error(f"which tree? There are: {names}; {advice}")
+            if len(self.trees) != 1:
+                names = ", ".join(self.trees) or "none"
+                advice = "say load_xml(..., tree=...) or write main_tree_to_execute in <root>"
+                raise self.root.error(f"which tree? There are: {names}; {advice}")
+            (name,) = self.trees
         self.tree(name, self.root)
         return name
 

@@ -8,7 +8,7 @@ SKIPPED and IDLE are INVALID here, since py_trees has no other status for them.
 
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -22,14 +22,14 @@ from rosa_bt.xml.blackboard import Blackboard, Declared, Entry, Ports
 from rosa_bt.xml.scripts import parse_script
 from rosa_bt.xml.values import EMPTY, as_text, truth
 
-SUCCESS: Final = Status.SUCCESS
-FAILURE: Final = Status.FAILURE
-RUNNING: Final = Status.RUNNING
-SKIPPED: Final = Status.INVALID
-DONE: Final = (SUCCESS, FAILURE)
-MAX_NODES: Final = 10_000
+SUCCESS = Status.SUCCESS
+FAILURE = Status.FAILURE
+RUNNING = Status.RUNNING
+SKIPPED = Status.INVALID
+DONE = (SUCCESS, FAILURE)
+MAX_NODES = 10_000
 """Most nodes in one tree with all its subtrees, and so also most children of a node."""
-ROUNDING_S: Final = 1e-9
+ROUNDING_S = 1e-9
 
 Ticking = Generator[Behaviour, None, Status]
 """Yields the nodes that are visited, as `tick` of py_trees does, and returns the outcome."""
@@ -39,9 +39,9 @@ class NodeError(RosaBtError, RuntimeError):
     """A node cannot do what it is given; BehaviorTree.CPP throws a LogicError in this case."""
 
 
-INSTEAD: Final = {"_failureIf": FAILURE, "_successIf": SUCCESS, "_skipIf": SKIPPED}
+INSTEAD = {"_failureIf": FAILURE, "_successIf": SUCCESS, "_skipIf": SKIPPED}
 """Pre-conditions that are asked before a node starts, with its outcome if they hold."""
-RULES: Final = (*INSTEAD, "_while", "_onHalted", "_onFailure", "_onSuccess", "_post")
+RULES = (*INSTEAD, "_while", "_onHalted", "_onFailure", "_onSuccess", "_post")
 
 
 class Rules:
@@ -136,7 +136,7 @@ def port(data_type: Any, default: object = None, *, required: bool = True) -> Po
     return PortInformation(data_type, required, "", default)
 
 
-NODES: Final[dict[str, type["Named"]]] = {}
+NODES: dict[str, type["Named"]] = {}
 """The nodes of BehaviorTree.CPP and Nav2 by their tags, but for SubTree."""
 
 
@@ -148,7 +148,9 @@ class Named(Behaviour):
     """Least and greatest number of children."""
     ports: Ports
 
-    def __init_subclass__(cls, *, is_node: bool = True) -> None:
+    def __init_subclass__(cls, *, is_node: bool = True, **ports: PortInformation) -> None:
+        if ports:
+            cls.PORTS = ports
         if is_node:
             NODES[cls.__name__] = cls
 
@@ -278,10 +280,8 @@ class AlwaysFailure(Named):
         return Status.FAILURE
 
 
-class Script(Named):
+class Script(Named, code=port(str)):
     """Runs a script; then SUCCESS."""
-
-    PORTS: ClassVar = {"code": port(str)}
 
     def prepare(self, ports: Ports) -> None:
         super().prepare(ports)
@@ -300,14 +300,12 @@ class ScriptCondition(Script):
         return Status.SUCCESS if truth(self.script(self.ports.blackboard)) else Status.FAILURE
 
 
-class SetBlackboard(Named):
+class SetBlackboard(Named, value=port(object), output_key=port(object)):
     """Writes a text, as the declared type of the entry, or copies the value of another key.
 
     As in BehaviorTree.CPP, if no type is declared, the first text empties the entry, and the second
     raises.
     """
-
-    PORTS: ClassVar = {"value": port(object), "output_key": port(object)}
 
     def update(self) -> Status:
         ports = self.ports
@@ -339,29 +337,23 @@ class SetBlackboard(Named):
         return Status.SUCCESS
 
 
-class UnsetBlackboard(Named):
+class UnsetBlackboard(Named, key=port(str)):
     """Removes a key from the blackboard of its own tree."""
-
-    PORTS: ClassVar = {"key": port(str)}
 
     def update(self) -> Status:
         self.ports.blackboard.unset(self.ports.get("key"))
         return Status.SUCCESS
 
 
-class WasEntryUpdated(Named):
+class WasEntryUpdated(Named, entry=port(object)):
     """SUCCESS if an entry was written since the last tick of this leaf, else FAILURE."""
-
-    PORTS: ClassVar = {"entry": port(object)}
 
     def update(self) -> Status:
         return Status.SUCCESS if self.ports.is_updated("entry") else Status.FAILURE
 
 
-class Sleep(Named):
+class Sleep(Named, msec=port(int)):
     """RUNNING for `msec` [ms], then SUCCESS."""
-
-    PORTS: ClassVar = {"msec": port(int)}
 
     def initialise(self) -> None:
         self._since = self.ports.blackboard.clock()

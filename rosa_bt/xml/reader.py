@@ -5,7 +5,6 @@ import time
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Final
 
 from py_trees.behaviour import Behaviour
 
@@ -17,10 +16,10 @@ from rosa_bt.xml.nodes import MAX_NODES, NODES, RULES, Branch, Rules, Slot, is_p
 from rosa_bt.xml.registry import BehaviourRegistry, Entry
 from rosa_bt.xml.values import BOOLS
 
-_QUOTED: Final = re.compile(r"""'[^']*'|"[^"]*\"""")
-_OF_EDITORS: Final = ("_autoremap", "_collapsed", "_description", "_fullpath", "_uid")
+_QUOTED = re.compile(r"""'[^']*'|"[^"]*\"""")
+_OF_EDITORS = ("_autoremap", "_collapsed", "_description", "_fullpath", "_uid")
 """Attributes, in small letters, that are no rules of a node and that editors write."""
-_SCRIPT_PORTS: Final = {"Script": "code", "ScriptCondition": "code", "Precondition": "if"}
+_SCRIPT_PORTS = {"Script": "code", "ScriptCondition": "code", "Precondition": "if"}
 
 
 class SubTree(Branch, ClockFollower, is_node=False):
@@ -232,11 +231,7 @@ def _check_children(element: Element, least: int, most: int) -> None:
         problem = "a ReactiveSequence has at most one asynchronous child; use Sequence in it"
         raise element.error(problem)
     if not least <= len(tags) <= most:
-        number = f"{least} to {most}"
-        if most >= MAX_NODES:
-            number = f"at least {least}"
-        elif least == most:
-            number = str(least)
+        numbers = {MAX_NODES: f"at least {least}", least: str(least)}
+        number = numbers.get(most, f"{least} to {most}")
         advice = "; put a Sequence around them" if most == 1 and tags else ""
-        count = "1 child" if len(tags) == 1 else f"{len(tags)} children"
-        raise element.error(f"<{element.node}> has {count}; it takes {number}{advice}")
+        raise element.error(f"children of <{element.node}>: {len(tags)}; it takes {number}{advice}")

@@ -4,7 +4,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, Literal, TypeVar, overload
+from typing import Any, Literal, TypeVar, overload
 
 from py_trees.behaviour import Behaviour
 from py_trees.ports import PortInformation, PortsMixin
@@ -20,8 +20,8 @@ Factory = Callable[..., Behaviour]
 F = TypeVar("F", bound=Factory)
 Kind = Literal["action", "condition"]
 
-_FORMS: Final = ("Action", "BehaviorTree", "Condition", "Control", "Decorator", "SubTree", "root")
-_OF_NAV2: Final = frozenset(
+_FORMS = ("Action", "BehaviorTree", "Condition", "Control", "Decorator", "SubTree", "root")
+_OF_NAV2 = frozenset(
     [
         "GoalUpdatedController",
         "NonblockingSequence",
@@ -34,11 +34,11 @@ _OF_NAV2: Final = frozenset(
         "SingleTrigger",
     ]
 )
-BUILT_IN: Final = frozenset({*NODES, *_FORMS}) - _OF_NAV2
+BUILT_IN = frozenset({*NODES, *_FORMS}) - _OF_NAV2
 """Names that cannot be registered; those of Nav2 can, since its releases differ."""
-_ROLES: Final = frozenset({"name", "child", "children", "blackboard", "behaviour_class_name"})
+_ROLES = frozenset({"name", "child", "children", "blackboard", "behaviour_class_name"})
 """Parameters that no attribute of an element sets."""
-_VARIOUS: Final = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+_VARIOUS = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
 @dataclass(frozen=True)
@@ -110,11 +110,14 @@ class Entry:
         for port, key in ports.keys.items():
             if declared[port].data_type in (Any, object):
                 board.make(key).takes_any = True
-        for key in keys.keys() - declared.keys() - vars(behaviour).keys():
-            kind = type(behaviour).__name__
-            text = f"{key}={keys.pop(key)!r} is not read"
-            note(f"{text}: {kind} keeps no attribute {key!r}; declare a port")
-        _read_at_start(behaviour, Ports(self.arguments, keys, board), declared)
+        attributes = vars(behaviour)
+        for key, text in keys.items():
+            if key not in declared and key not in attributes:
+                problem = f"{type(behaviour).__name__} keeps no attribute {key!r}; declare a port"
+                note(f"{key}={text!r} is not read: {problem}")
+        at_start = {key: text for key, text in keys.items() if key in attributes}
+        if at_start:
+            _read_at_start(behaviour, Ports(self.arguments, at_start, board))
         if isinstance(behaviour, ActionBehaviour):
             _check_action(behaviour, ports)
         if isinstance(behaviour, PortsMixin):
@@ -128,34 +131,27 @@ class Entry:
         keys = dict[str, str]()
         for name, argument in self.arguments.items():
             text = written.get(name)
-            if text is None:
-                if argument.required:
-                    advice = f"write {name}=... in the element, or hand it to BehaviourRegistry"
-                    raise PortError(f"{name!r} is missing; {advice}")
-            elif key_of(text, name) is None:
-                literals[name] = text
-            elif argument.required:
-                advice = "declare it in INPUT_PORTS, and let the constructor do without it"
-                raise PortError(
-                    f"{name!r} is needed when the tree is made, and {text} is known later; {advice}"
-                )
-            else:
-                keys[name] = text
+            is_literal = text is not None and key_of(text, name) is None
+            if argument.required and not is_literal:
+                advice = f"write {name}=... with a value, hand it to BehaviourRegistry"
+                problem = f"{name!r} is needed when the tree is made"
+                raise PortError(f"{problem}; {advice}, or declare a port in INPUT_PORTS")
+            if text is not None:
+                (literals if is_literal else keys)[name] = text
         return literals, keys
 
 
-def _read_at_start(behaviour: Behaviour, ports: Ports, declared: Declared) -> None:
+def _read_at_start(behaviour: Behaviour, ports: Ports) -> None:
     """Let a behaviour read its attributes that are keys before each `initialise`."""
     initialise = behaviour.initialise
-    names = ports.keys.keys() - declared.keys()
 
     def read_and_initialise() -> None:
-        values = {name: ports.get(name) for name in names if ports.exists(name)}
-        vars(behaviour).update(values)
+        for name in ports.keys:
+            if ports.exists(name):
+                vars(behaviour)[name] = ports.get(name)
         initialise()
 
-    if names:
-        vars(behaviour)["initialise"] = read_and_initialise
+    vars(behaviour)["initialise"] = read_and_initialise
 
 
 def _check_action(leaf: ActionBehaviour, ports: Ports) -> None:
@@ -188,8 +184,8 @@ def _safe_switch(
     return SafeSwitch(name, task, transitions, blackboard.root, action)
 
 
-_ALWAYS: Final[Mapping[str, Factory]] = {"Retry": Retry, "UntilSuccess": UntilSuccess}
-_WITH_KB: Final[Mapping[str, Factory]] = {
+_ALWAYS: Mapping[str, Factory] = {"Retry": Retry, "UntilSuccess": UntilSuccess}
+_WITH_KB: Mapping[str, Factory] = {
     **{kind.__name__: kind for kind in (HasStatus, IsActionFeasible, Measurement, ForAction)},
     **{"DoUntilUnfeasible": _do_until_unfeasible, "SafeSwitch": _safe_switch},
 }
@@ -215,7 +211,7 @@ class BehaviourRegistry:
     """
 
     def __init__(self, **bound: Any) -> None:  # noqa: ANN401  # whatever the behaviours of the user need
-        self.bound: Final = bound
+        self.bound = bound
         self._own = {**_ALWAYS, **(_WITH_KB if "kb" in bound else {})}
         self.entries = {name: Entry(make, None, bound) for name, make in self._own.items()}
 

@@ -7,7 +7,7 @@ import math
 import operator
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from py_trees.common import Status
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 ParsedScript = Callable[[Blackboard], Value]
 """Runs a script on a blackboard, and returns the value of its last statement."""
 
-_EPSILON: Final = 2.0**-23  # numbers that differ by less are equal; `<` and `>` are exact
+_EPSILON = 2.0**-23  # numbers that differ by less are equal; `<` and `>` are exact
 
 
 def _quotient(left: float, right: float) -> float:
@@ -47,7 +47,7 @@ def _is_equal(left: Value, right: Value) -> bool:
     return bool(left == right) if isinstance(left, str) else abs(left - right) < _EPSILON
 
 
-_OPERATORS: Final[Mapping[str, tuple[Callable[[Value], Any], Callable[[Any, Any], Any]]]] = {
+_OPERATORS: Mapping[str, tuple[Callable[[Value], Any], Callable[[Any, Any], Any]]] = {
     "+": (double, operator.add),
     "-": (double, operator.sub),
     "*": (double, operator.mul),
@@ -59,7 +59,7 @@ _OPERATORS: Final[Mapping[str, tuple[Callable[[Value], Any], Callable[[Any, Any]
     "||": (truth, operator.or_),
 }
 """How each operator reads its two numbers, and what it does with them."""
-_COMPARISONS: Final[Mapping[str, Callable[[Value, Value], bool]]] = {
+_COMPARISONS: Mapping[str, Callable[[Value, Value], bool]] = {
     "==": _is_equal,
     "!=": lambda left, right: not _is_equal(left, right),
     "<": lambda left, right: not left >= right,  # nan is both less and greater than any number

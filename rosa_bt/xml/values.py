@@ -7,7 +7,7 @@ stays a bool.
 import json
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, Final, get_args, get_origin
+from typing import Any, get_args, get_origin
 
 from py_trees.common import Status
 from py_trees.ports_utils import convert_str_to_type, is_instance_of_type
@@ -29,17 +29,17 @@ class _Empty:
         return "what has no value"
 
 
-EMPTY: Final = _Empty()
-_EXACT: Final = 2**53  # from here on, a double cannot hold every whole number
-_WHOLE: Final = re.compile(r"-?\d+", re.ASCII)
-_NUMBER: Final = re.compile(
+EMPTY = _Empty()
+_EXACT = 2**53  # from here on, a double cannot hold every whole number
+_WHOLE = re.compile(r"-?\d+", re.ASCII)
+_NUMBER = re.compile(
     r"\s*[-+]?(?:0x[0-9a-f]+|inf|nan|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)", re.IGNORECASE | re.ASCII
 )
-BOOLS: Final = {
+BOOLS = {
     **dict.fromkeys(("1", "true", "TRUE", "True"), True),
     **dict.fromkeys(("0", "false", "FALSE", "False"), False),
 }
-_WORDS: Final[Mapping[Any, Mapping[str, Value]]] = {
+_WORDS: Mapping[Any, Mapping[str, Value]] = {
     bool: BOOLS,
     Status: {**Status.__members__, "SKIPPED": Status.INVALID},
 }
@@ -79,7 +79,7 @@ def as_text(value: Value) -> str:
     return str(int(value) if isinstance(value, bool) else value)
 
 
-CASTS: Final[Mapping[Any, Callable[[Value], Value]]] = {
+CASTS: Mapping[Any, Callable[[Value], Value]] = {
     **{bool: truth, int: whole, float: double, str: as_text}
 }
 

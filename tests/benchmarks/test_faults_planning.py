@@ -34,7 +34,7 @@ REPLANS = 10_000
 EVERY = 4  # of so many instructions one is interrupted before
 
 
-def test_ten_thousand_replans_reach_exactly_what_can_be_reached_and_leave_nothing():
+def test_replans_reach_exactly_what_can_be_reached():
     plans = 0
     episodes = 0
     reached = 0
@@ -60,7 +60,7 @@ def test_ten_thousand_replans_reach_exactly_what_can_be_reached_and_leave_nothin
     assert (threading.active_count(), open_files()) == before
 
 
-def test_interrupts_before_every_few_instructions_leave_nothing_owned():
+def test_interrupts_leave_nothing_owned():
     extended = load_mission("suave_extended")
     planner = Planner()
     tried = 0
@@ -87,7 +87,7 @@ def test_a_thousand_worlds_that_grow_end_where_brute_force_says():
     assert missed == []
 
 
-def test_each_entry_of_the_ground_vehicles_certificate_is_what_planning_from_there_says():
+def test_entry_of_a_certificate_is_what_planning_says():
     found, others = agv_and_other_plannings(every=1)
     assert len(others) == 16  # none, one and two of five actions fail
     assert [

@@ -50,7 +50,7 @@ def flown(pages):
     )
 
 
-def test_twenty_pages_cost_a_tick_five_percent_at_most_and_all_but_the_frozen_one_get_every_row():
+def test_twenty_pages_cost_a_tick_five_percent_at_most():
     flown(0)
     alone_s = []
     watched_s = []

@@ -37,7 +37,7 @@ def step_s(page):
     return min(rounds)
 
 
-def test_step_with_a_thousand_nodes_costs_little_more_than_with_ten(visits):  # noqa: F811  # the fixture
+def test_step_with_a_thousand_nodes_costs_little_more(visits):  # noqa: F811  # the fixture
     small, large = (step_s(visits.show(visits.file(tree_of(count)))) for count in (10, 1000))
     print(f"\na step: {1000 * small:.1f} ms with 10 nodes, {1000 * large:.1f} ms with 1,000")
     assert large < 3 * small

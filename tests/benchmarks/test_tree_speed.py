@@ -92,7 +92,7 @@ def test_tree_that_asks_ticks_nearly_as_fast_as_one_of_constants(situation):
 
 
 @pytest.mark.parametrize("situation", [searching, inspecting, recharging])
-def test_tree_that_is_traced_ticks_at_most_twice_as_long_as_one_of_constants(situation, tmp_path):
+def test_traced_tree_ticks_at_most_twice_as_long(situation, tmp_path):
     kb, percepts = situation()
     runner = TreeRunner(suave_extended_tree(kb, percepts), clock=lambda: 0.0)
     runner.tick()
@@ -118,7 +118,7 @@ def big(conditions: int, condition: Callable[[int], Behaviour]) -> Behaviour:
     return root
 
 
-def test_thousand_nodes_with_a_hundred_conditions_tick_nearly_as_fast_as_plain_ones():
+def test_thousand_nodes_tick_nearly_as_fast_as_plain_ones():
     model = Model("many")
     level = model.quality_attribute("level")
     for number in range(100):

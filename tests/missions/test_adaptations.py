@@ -181,7 +181,7 @@ def test_adaptation_is_in_force_when_its_plans_have_ended():
     assert (entry.news_s, entry.at_s) == (0.1, pytest.approx(0.4))
 
 
-def test_action_given_up_and_followed_by_none_is_reported_at_the_end():
+def test_action_given_up_without_a_next_is_reported_at_the_end():
     mission = Mission("begin search; hear energy = 0.1; abandon search; tick")
     assert mission.rows == []  # another may follow yet
     mission.log.finish()

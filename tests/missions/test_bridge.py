@@ -2,6 +2,7 @@
 
 import random
 from contextlib import closing
+from functools import partial
 
 import numpy as np
 import pytest
@@ -116,7 +117,7 @@ def test_bridge_runs_by_the_simulated_clock(wire, caplog):
             tell(126)
             until(lambda: bridge.is_connected)
             message = {"header": {"stamp": {"sec": 124, "nanosec": 0}}, "percentage": 0.5}
-            publish = lambda: host.publish("/battery_state", BATTERY, message)  # noqa: E731
+            publish = partial(host.publish, "/battery_state", BATTERY, message)
             until(lambda: kb.attributes["energy"].value == 0.5, turn=publish)
             tell(130)
             bridge.managed.observe(kb)

@@ -182,8 +182,10 @@ def test_trees_and_domains_are_taken_together(rosa):
 
 
 def test_name_that_a_tree_gets_while_it_runs_is_no_finding():
-    later = lambda kb, percepts: IsActionFeasible("later", kb)  # noqa: E731
-    mission = replace(find_mission("suave"), tree=later, domain=None, problem=None)
+    def tree(kb, percepts):
+        return IsActionFeasible("later", kb)
+
+    mission = replace(find_mission("suave"), tree=tree, domain=None, problem=None)
     assert judge(explorer(), mission, [], []) == []
 
 
@@ -196,7 +198,9 @@ def test_files_are_judged_with_the_tree_of_a_mission(rosa):
 
 
 def test_own_mission_with_a_misspelt_action_is_judged(rosa, monkeypatch):
-    tree = lambda kb, percepts: IsActionFeasible("search?", kb, "serch_pipeline")  # noqa: E731
+    def tree(kb, percepts):
+        return IsActionFeasible("search?", kb, "serch_pipeline")
+
     register(monkeypatch, "broken", replace(find_mission("suave"), name="broken", tree=tree))
     code, out, _ = rosa("--mission broken")
     assert code == 1
@@ -211,8 +215,10 @@ def test_action_that_planning_passes_over_is_told_once(rosa, monkeypatch):
         model.action("surface", requires=[model.functions["maintain_motion"]])
         return model
 
+    def tree(kb, percepts):
+        return IsActionFeasible("up?", kb, "surface")
+
     named = replace(suave, name="ascending", model=larger)
-    tree = lambda kb, percepts: IsActionFeasible("up?", kb, "surface")  # noqa: E731
     register(monkeypatch, "ascending", replace(named, tree=tree))
     code, out, _ = rosa("--mission ascending")
     assert (code, "warning file-note" in out) == (0, True)

@@ -78,7 +78,7 @@ def test_run_tells_adaptations_with_reasons_and_a_table(rosa):
         assert words in " ".join(out.split()), words
 
 
-def test_run_without_progress_tells_the_same_adaptations_at_the_end(rosa):
+def test_run_without_progress_tells_adaptations_at_the_end(rosa):
     code, out, _ = rosa("run agv --seed 1 --no-progress")
     assert code == 0
     assert "is requested" not in out

@@ -90,7 +90,7 @@ def program(text, *given, cwd):
     return done.stdout
 
 
-def test_a_robot_needs_none_of_the_extras_and_a_solver_that_is_missing_is_named(tmp_path):
+def test_robot_needs_no_extra_and_a_missing_solver_is_named(tmp_path):
     said = program(NONE, OPTIONAL, cwd=tmp_path)
     assert "recharge" in said
     assert "pip install 'rosa-taca[optimal]'" in said
@@ -118,7 +118,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before, *sys.modules)
 """
 
 
-def test_knowledge_base_is_imported_in_20_megabytes_without_what_few_need():
+def test_knowledge_base_is_imported_in_20_megabytes():
     done = subprocess.run(
         [sys.executable, "-c", IMPORTS], capture_output=True, text=True, check=True
     )

@@ -109,7 +109,7 @@ def test_mission_node_polls_at_the_period_of_the_rules(rules, least_s, most_s):
     assert least_s <= inspect.start - run.world.results()["found_s"] < most_s
 
 
-def test_manager_random_picks_any_mode_at_the_period_of_the_rules():
+def test_manager_random_picks_modes_at_the_period_of_the_rules():
     run = run_under("random", rules="2024", start_y=9, duration_s=250)
     changes = changes_of("spiral_search", run)
     assert len({change.parameters["spiral_altitude"] for change in changes}) > 1
@@ -154,7 +154,7 @@ def test_manager_rosa_without_delay_does_as_ours_does():
     assert rows[0] == rows[1]
 
 
-def test_manager_ahead_recharges_in_time_and_inspects_more_than_the_tree():
+def test_manager_ahead_inspects_more_than_the_tree():
     ahead = run_under("ahead", "suave_extended", seed=7)
     tree = run_under("bt", "suave_extended", seed=7)
     for figure in ("total_inspected_m", "distance_inspected_m"):
@@ -241,7 +241,7 @@ class Deaf(Metacontrol):
         robot.set_parameters = set_parameters
 
 
-def test_metacontrol_replaces_a_design_that_does_not_come_into_force():
+def test_metacontrol_replaces_a_design_without_effect():
     last = changes_of("spiral_search", run_under(Deaf, seed=2, duration_s=10))[-1]
     assert last.active
     assert last.parameters["spiral_altitude"] == 2.0

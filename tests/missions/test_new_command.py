@@ -142,7 +142,7 @@ def ended(mission, manager, **settings):
     return run.run().outcome, run.results()["explored_m"], len(run.adaptations)
 
 
-def test_other_managers_run_a_mission_of_ones_own_and_do_what_they_are_for(new):
+def test_other_managers_run_a_new_mission(new):
     mission = find_mission(f"{new('--task', 'both')}:MISSION")
     assert ended(mission, "ours")[0] == "explored_all"
     assert ended(mission, "bt")[::2] == ("explored_all", 0)
@@ -175,7 +175,7 @@ def test_manager_of_ones_own_chooses_in_any_mission(new):
     assert {name for plan in run.kb.plans for name in plan.parameters} == {"night"}
 
 
-def test_failures_make_nothing_unfeasible_where_nothing_adapts_and_are_sensed(new):
+def test_failures_are_sensed_where_nothing_adapts(new):
     run = open_run(find_mission(f"{new()}:MISSION"), manager="none")
     for message in (measured(0.0, energy=0.0), failed(0.0, "camera_node")):
         run.receive(message)
@@ -207,7 +207,7 @@ def test_manager_that_does_not_go_with_a_mission_is_refused(mission, manager, me
     assert message in str(refusal.value)
 
 
-def test_campaign_is_refused_before_its_first_run_if_a_mission_has_no_hand_written_tree():
+def test_campaign_without_a_hand_written_tree_is_refused():
     with pytest.raises(MissionError, match="mission uav has no hand-written tree"):
         check_campaign(Campaign("slip", ("uav",), ("ours", "bt")))
 
@@ -220,9 +220,7 @@ def test_configurations_to_use_are_those_of_the_model(new):
     )
 
 
-def test_report_on_a_mission_of_ones_own_shows_who_reached_the_goal_and_no_empty_columns(
-    new, tmp_path
-):
+def test_report_on_a_new_mission_has_no_empty_columns(new, tmp_path):
     name = new("--task", "bt")
     campaign = replace(
         read_campaign(tmp_path / name / "campaign.toml"), runs=2, managers=("ours", "none")
@@ -246,7 +244,7 @@ def test_report_on_a_mission_of_ones_own_shows_who_reached_the_goal_and_no_empty
     assert "search" not in text
 
 
-def test_units_are_those_of_attributes_and_of_ends_that_are_units(new):
+def test_units_are_those_of_attributes_and_of_endings(new):
     model = find_mission(f"{new()}:MISSION").model()
     model.quality_attribute("tank_level", unit="l")
     model.quality_attribute("time_left_s", unit="min")
@@ -308,7 +306,7 @@ def test_mission_that_cannot_be_made_is_refused_with_the_line(tmp_path, monkeypa
     assert "slip_of_mine.py, line 3" in str(refusal.value)
 
 
-def test_mission_that_is_only_planned_says_so_when_its_tree_is_asked_for(new):
+def test_mission_that_is_only_planned_has_no_tree(new):
     mission = find_mission(f"{new('--task', 'pddl')}:MISSION")
     assert isinstance(mission, Mission)
     assert open_run(mission).task == "pddl"
@@ -316,7 +314,7 @@ def test_mission_that_is_only_planned_says_so_when_its_tree_is_asked_for(new):
         open_run(mission, task="bt")
 
 
-def test_unknown_setting_of_a_mission_of_ones_own_is_answered_with_those_there_are(new):
+def test_unknown_setting_is_answered_with_those_there_are(new):
     with pytest.raises(MissionError) as refusal:
         open_run(find_mission(f"{new()}:MISSION"), settings={"zzz": "1"})
     assert "there are duration_s, tick_period_s, planning_delay_s, cave_m, draws_per_s" in str(

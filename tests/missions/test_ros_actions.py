@@ -73,7 +73,7 @@ def test_goal_rejected_fails(robot):
     assert robot.now < 4.5
 
 
-def test_goal_rejected_while_anothers_begins_fails_when_that_ends():
+def test_goal_rejected_as_anothers_begins_fails_when_that_ends():
     with rig("rosbridge") as robot:
         robot.server.rejects = True
         go = Going(robot)

@@ -144,8 +144,8 @@ class Planning(Running):
 
     plans = ()
 
-    def plan(self, reason, outcome=Outcome.SOLVED):
-        self.plans = (*self.plans, PlanRecord(0.0, reason, outcome, (), self.name))
+    def plan(self, time):
+        self.plans = (*self.plans, PlanRecord(time, "", Outcome.SOLVED, (), self.name))
 
 
 def test_plans_of_several_behaviours_are_listed_in_order():
@@ -155,10 +155,10 @@ def test_plans_of_several_behaviours_are_listed_in_order():
     mission = replace(find_mission("suave"), tree=lambda kb, percepts: root)
     kb = KnowledgeBase(mission.model(), clock=lambda: 0.0)
     task = build_task("bt", mission, kb, Percepts())
-    for behaviour, reason in ((second, "a"), (first, "b"), (second, "c")):
-        behaviour.plan(reason)
-        assert task.plans()[-1].reason == reason
-    assert [(plan.number, plan.reason) for plan in task.plans()] == [(1, "a"), (2, "b"), (3, "c")]
+    for time, behaviour in enumerate((second, first, second)):
+        behaviour.plan(time)
+        assert task.plans()[-1].at_s == time
+    assert [plan.at_s for plan in task.plans()] == [0, 1, 2]
 
 
 @pytest.mark.parametrize("plans", [["beach"], (PlanRecord(0, "", Outcome.OUT_OF_TIME, (), "x"),)])

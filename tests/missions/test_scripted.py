@@ -148,7 +148,7 @@ def test_mocked_action_is_still_requested_and_released(script):
     assert not kb.required_actions
 
 
-def test_leaf_that_is_missing_or_script_without_meaning_is_refused():
+def test_leaf_or_script_that_does_not_exist_is_refused():
     root = rover_tree(KnowledgeBase(rover_model(), clock=FakeClock()), Percepts())
     with pytest.raises(UnknownName, match=r"unknown leaf 'explor'; did you mean 'explore'"):
         mock_leaf(root, "explor", "S")

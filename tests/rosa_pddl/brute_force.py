@@ -24,8 +24,13 @@ def following(domain, steps, state):
 
 
 def fewest_steps(domain, state, most=None):
-    """Return the number of steps of the shortest plan; None if there is none, -1 if there are too many states."""
-    steps, depth, todo = ground_steps(domain), {state: 0}, deque([state])
+    """Return the number of steps of the shortest plan.
+
+    None if there is none, -1 if there are too many states.
+    """
+    steps = ground_steps(domain)
+    depth = {state: 0}
+    todo = deque([state])
     while todo:
         state = todo.popleft()
         if goal_holds(domain, state):
@@ -42,7 +47,9 @@ def fewest_steps(domain, state, most=None):
 def least_cost(domain, state, costs=None):
     """Return what the cheapest plan costs; None if there is none."""
     steps = ground_steps(domain)
-    queue, done, pushed = [(0, 0, state)], set(), 0
+    queue = [(0, 0, state)]
+    done = set()
+    pushed = 0
     while queue:
         cost, _, state = heappop(queue)
         if goal_holds(domain, state):

@@ -53,20 +53,26 @@ class Ground:
           (:objects go swim look - action {" ".join(self.places)} - place)
           (:init (go_action go) (swim_action swim) (look_action look) (at p0) (= (total-cost) 0) {" ".join(facts)})
           (:goal (and {goal})) (:metric minimize (total-cost)))"""
-        self.domain, self.far = parse_domain(DOMAIN, problem), far
+        self.domain = parse_domain(DOMAIN, problem)
+        self.far = far
         self.planner = Planner()
 
 
 class Doing(Behaviour):
-    """A step that ends well, or fails for ever or by chance, as the world has it; it knows where the robot is."""
+    """A step that ends well, or fails for ever or by chance, as the world has it.
+
+    It knows where the robot is.
+    """
 
     def __init__(self, step, world):
         super().__init__(str(step))
-        self.step, self.world = step, world
+        self.step = step
+        self.world = world
 
     def initialise(self):
         self.left = 3
-        world, step = self.world, self.step
+        world = self.world
+        step = self.step
         assert step.schema in ("rest", "look") or step.arguments[1] == world.at, (
             f"{step} begun at {world.at}"
         )
@@ -76,7 +82,8 @@ class Doing(Behaviour):
         self.left -= 1
         if self.left:
             return Status.RUNNING
-        world, step = self.world, self.step
+        world = self.world
+        step = self.step
         if step in world.broken or world.rng.random() < world.mishaps:
             return Status.FAILURE
         if step.schema == "look":
@@ -92,7 +99,8 @@ class Faulty:
     timeout_s = 120.0
 
     def __init__(self, planner):
-        self.planner, self.world = planner, None
+        self.planner = planner
+        self.world = None
 
     def start(self, problem):
         future = Future()
@@ -112,7 +120,8 @@ def reachable(ground, world):
             and world.domain.step(kind, [kind, *arguments]) not in world.broken
         )
 
-    frontier, known = [world.at], {world.at}
+    frontier = [world.at]
+    known = {world.at}
     while frontier:
         here = frontier.pop()
         for kind in ("go", "swim"):
@@ -127,7 +136,8 @@ def reachable(ground, world):
         return False
 
     def leads(x, y):
-        seen, some = {x}, [x]
+        seen = {x}
+        some = [x]
         while some:
             here = some.pop()
             for kind in ("go", "swim"):
@@ -143,7 +153,10 @@ def reachable(ground, world):
 
 
 def episode(ground, seed):
-    """Let things go wrong for a while, then leave it in peace; return how many plans there were, and how it ended."""
+    """Let things go wrong for a while, then leave it in peace.
+
+    Return how many plans there were, and how it ended.
+    """
     rng = default_rng(seed)
     policy = ReplanningPolicy(at_most_every_s=float(rng.choice([0.0, 0.2])))
     planner = Faulty(ground.planner)
@@ -158,7 +171,9 @@ def episode(ground, seed):
     world.broken = {
         moves[number] for number in rng.choice(len(moves), rng.integers(0, 7), replace=False)
     }
-    world.mishaps, world.troubles, status = 0.3, 0.2, Status.RUNNING
+    world.mishaps = 0.3
+    world.troubles = 0.2
+    status = Status.RUNNING
     for _ in range(150):
         if rng.random() < 0.2:
             world.kb.unfeasible = {action for action in ACTIONS if rng.random() < 0.3}
@@ -188,7 +203,8 @@ def episode(ground, seed):
     world.mishaps = world.troubles = 0.0
     world.kb.unfeasible = {action for action in ACTIONS if rng.random() < 0.15}
     could = can = reachable(ground, world)
-    ends, before = Counter(), len(world.executor.plans)
+    ends = Counter()
+    before = len(world.executor.plans)
     for _ in range(round(QUIET_S * 10)):
         status = tick(world)
         world.facts = {

@@ -1,4 +1,7 @@
-"""An executor whose tick, or whose end, is interrupted at some instruction; what must be true then and afterwards."""
+"""An executor whose tick, or whose end, is interrupted at some instruction.
+
+What must be true then and afterwards.
+"""
 
 import sys
 from pathlib import Path
@@ -19,7 +22,8 @@ class Owner(Behaviour):
 
     def __init__(self, step, world):
         super().__init__(str(step))
-        self.world, self.left = world, 2
+        self.world = world
+        self.left = 2
 
     def initialise(self):
         self.world.owned.add(self)
@@ -43,7 +47,10 @@ def world_of(domain, planner, **settings):
 
 
 def interrupted(act, instruction):
-    """Do something, interrupted before one of its instructions, by number; return how many there were till then."""
+    """Do something, interrupted before one of its instructions, by number.
+
+    Return how many there were till then.
+    """
     seen = 0
 
     def each(frame, event, _):
@@ -57,7 +64,8 @@ def interrupted(act, instruction):
     def entered(frame, *_):
         if not frame.f_code.co_filename.startswith(TRACED):
             return None
-        frame.f_trace_opcodes, frame.f_trace_lines = True, False
+        frame.f_trace_opcodes = True
+        frame.f_trace_lines = False
         return each
 
     before = sys.gettrace()

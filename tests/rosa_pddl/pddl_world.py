@@ -79,7 +79,8 @@ class Task(Behaviour):
 
     def __init__(self, step, world):
         super().__init__(str(step))
-        self.step, self.world = step, world
+        self.step = step
+        self.world = world
 
     def initialise(self):
         self.left = self.world.ticks.get(self.step.schema, 3)

@@ -41,7 +41,8 @@ PROBLEM = """(define (problem p) (:domain roads)
   (:init (drive_action drive) (walk_action walk) (mend_action mend) (at home) {path} (= (total-cost) 0))
   (:goal (at goal)) (:metric minimize (total-cost)))
 """
-PLANNER, COLD = Planner(), Planner()
+PLANNER = Planner()
+COLD = Planner()
 
 
 @pytest.fixture(scope="module")
@@ -64,11 +65,9 @@ class Car(World):
 
     def known(self, _):
         model = Model("car")
-        fog, tyre, roll = (
-            model.environmental_attribute("fog"),
-            model.component("tyre"),
-            model.function("roll"),
-        )
+        fog = model.environmental_attribute("fog")
+        tyre = model.component("tyre")
+        roll = model.function("roll")
         roll.design("by_tyre", [tyre])
         model.action("drive", requires=[roll], constraints=[fog <= 0.5])
         model.action("walk")
@@ -120,7 +119,8 @@ def test_whatever_happens_nothing_is_tried_twice_while_the_same_is_in_the_way(
         happen(car, event, value)
         for _ in range(value if event == "wait" else 1):
             car.tick()
-    # in fog, mending helps nothing: once with each tool between two clearings of the fog, or once at all
+    # in fog, mending helps nothing: once with each tool between two clearings of the fog, or once
+    # at all
     cleared = sum(event == "fog" and value < 0.5 for event, value in events)
     assert car.begun().count("mend") <= (cleared + 1) * len(tools.split())
 
@@ -255,14 +255,18 @@ def test_nothing_but_the_step_that_did_not_help_is_not_relied_upon(roads):
 
 
 def cheapest(domain, state, doubted):
-    """Return what the goal costs if doubted steps do not make drive feasible, by trying all; None if it cannot be."""
+    """Return what the goal costs if doubted steps do not make drive feasible, by trying all.
+
+    None if it cannot be.
+    """
     steps = [
         domain.step(schema.name, words)
         for schema in domain.schema_of.values()
         for words in product(*(domain.objects_of(kind) for _, kind in schema.parameters))
     ]
     price = {"mend": 2.0, "drive": 1.0, "walk": 20.0}
-    best, queue = {}, [(0.0, sorted(state))]
+    best = {}
+    queue = [(0.0, sorted(state))]
     while queue:
         cost, facts = heappop(queue)
         now = frozenset(facts)

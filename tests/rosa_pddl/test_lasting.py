@@ -36,12 +36,10 @@ class Diver:
     """A robot whose battery does as its model says; a step ends when its time is over."""
 
     def __init__(self, folder, energy, *, lasting=True, drain=-0.01):
-        self.now, self.log, self.takes, self.drain = (
-            0.0,
-            [],
-            {"inspect": 20.0, "charge": 5.0},
-            drain,
-        )
+        self.now = 0.0
+        self.log = []
+        self.takes = {"inspect": 20.0, "charge": 5.0}
+        self.drain = drain
         model = Model("diver")
         level = model.quality_attribute("energy", low=0.0, high=1.0)
         model.action("inspect", constraints=[level >= 0.25])
@@ -67,7 +65,7 @@ class Diver:
     def run(self, seconds):
         for _ in range(seconds):
             self.now += 1.0
-            doing = [one.action for one in self.kb.required_actions]
+            doing = [action.action for action in self.kb.required_actions]
             change = self.drain * ("inspect" in doing) + 0.06 * ("charge" in doing)
             self.kb.measure(
                 "energy", min(1.0, max(0.0, self.kb.attributes["energy"].value + change))
@@ -170,10 +168,8 @@ TAKES = {"sail": 30.0, "look": 20.0, "probe": 60.0, "wave": 0.0}
 
 def boat(clock):
     model = Model("boat")
-    light, tide = (
-        model.environmental_attribute("light", low=0.0, high=1.0),
-        model.environmental_attribute("tide"),
-    )
+    light = model.environmental_attribute("light", low=0.0, high=1.0)
+    tide = model.environmental_attribute("tide")
     light.changes(-0.01)
     model.action("sail")
     model.action("look", constraints=[light >= 0.25])
@@ -185,7 +181,10 @@ class Boat:
     """Surveys by daylight, which goes, once it is there, or else probes at once, which is dear."""
 
     def __init__(self, light, *, lasting=True, tide=1.0, sensed=()):
-        self.now, self.log, self.takes, self.light = 0.0, [], TAKES, light
+        self.now = 0.0
+        self.log = []
+        self.takes = TAKES
+        self.light = light
         self.kb = boat(lambda: self.now)
         self.kb.measure("tide", tide)
         self.kb.measure("light", light)
@@ -303,18 +302,22 @@ def test_no_plan_says_that_it_is_for_what_is_forecast_and_is_looked_for_again_on
 
 
 def test_same_events_give_the_same_times_to_plan_with(sailing):
-    one, known, last = sailing(0.85), [], 0
+    one = sailing(0.85)
+    known = []
+    last = 0
     for second in range(60):
         one.run(1, 0.02 * (second % 3))
         known.append((one.now, one.kb.log.last, one.lasting.forecasts()))
     now = 0.0
     kb = boat(lambda: now)
-    lasting, events = LastingFeasibility(kb, one.domain), list(one.kb.log.since(0))
+    lasting = LastingFeasibility(kb, one.domain)
+    events = list(one.kb.log.since(0))
     for then, number, forecasts in known:
         for event in events[last:number]:
             now = event.time
             kb.replay(event)
-        now, last = then, number
+        now = then
+        last = number
         assert lasting.forecasts() == forecasts
     assert any(
         forecast.at is not None for *_, forecasts in known for forecast in forecasts.values()

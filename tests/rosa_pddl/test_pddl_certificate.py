@@ -23,7 +23,9 @@ from rosa_pddl.validate import flaw
 def supposing_of(domain):
     def supposing(unfeasible):
         feasible = {
-            domain.feasible_atom(one) for one in domain.rosa_actions if one not in set(unfeasible)
+            domain.feasible_atom(action)
+            for action in domain.rosa_actions
+            if action not in set(unfeasible)
         }
         return Problem(domain, without_feasibility(domain, initial_state(domain)) | feasible)
 
@@ -33,7 +35,8 @@ def supposing_of(domain):
 @pytest.mark.parametrize("which", ["suave_extended", 5, 6])
 def test_each_entry_is_what_planning_from_there_says_and_its_plan_works(which):
     domain = load_mission(which) if isinstance(which, str) else Ground(which).domain
-    supposing, cold = supposing_of(domain), Planner()
+    supposing = supposing_of(domain)
+    cold = Planner()
     found = certificate(domain, supposing, Planner())
     actions = domain.rosa_actions
     assert list(found.entries) == list(
@@ -45,7 +48,9 @@ def test_each_entry_is_what_planning_from_there_says_and_its_plan_works(which):
         assert (
             not result.outcome.is_solved or flaw(domain, result.steps, supposing(out).state) is None
         )
-    ends = [one for one in actions if found.entries[one,].outcome is Outcome.UNSOLVABLE_PROVEN]
+    ends = [
+        action for action in actions if found.entries[action,].outcome is Outcome.UNSOLVABLE_PROVEN
+    ]
     assert found.fatal == (tuple(ends) if found.entries[()].outcome.is_solved else ())
     assert {result.outcome.is_solved for result in found.entries.values()} == {True, False}
 
@@ -53,10 +58,8 @@ def test_each_entry_is_what_planning_from_there_says_and_its_plan_works(which):
 def agv_and_other_plannings(every):
     """The ground vehicle's certificate with two failures at once, and plannings from the beginning for some of it."""
     question = ask(mission=find_mission("agv"))
-    found, cold = (
-        certified(question, 300.0, 2),
-        Planner(timeout_s=300.0),
-    )
+    found = certified(question, 300.0, 2)
+    cold = Planner(timeout_s=300.0)
     return found, {
         out: cold.plan(question.problem_without(out)) for out in list(found.entries)[::every]
     }

@@ -333,7 +333,8 @@ def test_two_runs_with_the_same_events_are_the_same(extended):
         world.run()
         return world.log, world.executor.plans
 
-    first, second = run(), run()
+    first = run()
+    second = run()
     assert first == second
     assert len(first[1]) == 2
 
@@ -382,7 +383,8 @@ def test_visitors_see_the_behaviour_of_the_running_step(world):
         def run(self, behaviour):
             self.names.append(behaviour.name)
 
-    tree, names = BehaviourTree(world.executor), Names()
+    tree = BehaviourTree(world.executor)
+    names = Names()
     tree.visitors.append(names)
     world.run(until="search_pipeline")
     names.names.clear()

@@ -76,7 +76,8 @@ def known(world):
     motor, localization = (
         model.component(name, kind="lifecycle") for name in ("motor", "localization")
     )
-    move, locate = model.function("move"), model.function("locate")
+    move = model.function("move")
+    locate = model.function("locate")
     move.design("by_motor", [motor, localization])
     locate.design("by_map", [localization])
     model.action("drive", requires=[move])

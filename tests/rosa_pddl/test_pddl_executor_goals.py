@@ -50,8 +50,6 @@ def done(world):
 
 def test_the_goals_begin_as_the_problem_file_has_them(world):
     assert [str(goal) for goal in world.executor.goals] == ["(visited north)", "(home)"]
-    assert "(HOME)" not in world.executor.goals
-    assert "(home)" in world.executor.goals
 
 
 def test_a_goal_that_is_added_is_planned_for_and_what_runs_runs_on(world):
@@ -150,7 +148,8 @@ def test_a_goal_that_means_nothing_is_refused_and_the_goals_stay_as_they_were(
     world, text, error, message
 ):
     goals = world.executor.goals
-    before, version = list(goals), goals.version
+    before = list(goals)
+    version = goals.version
     for change in (goals.add, goals.drop, goals.replace):
         with pytest.raises(error, match=message):
             change(text)
@@ -171,7 +170,8 @@ def test_dropping_what_is_no_goal_and_a_worth_of_nothing_are_refused(world):
 
 
 def test_a_soft_goal_is_pursued_if_it_is_worth_it_and_left_if_not(survey):
-    cheap, dear = World(survey), World(survey)
+    cheap = World(survey)
+    dear = World(survey)
     cheap.executor.goals.add("(photographed south)", worth=4.5)
     dear.executor.goals.add("(photographed south)", worth=5.5)
     assert (cheap.run(), dear.run()) == (Status.SUCCESS, Status.SUCCESS)
@@ -203,8 +203,7 @@ def test_a_goal_becomes_soft_and_hard_again(world):
     assert [str(goal) for goal in goals.soft] == ["(visited north) worth 1"]
     goals.add("(visited north)")
     assert goals.soft == ()
-    assert len(goals) == 2
-    assert repr(goals) == "Goals((visited north), (home))"
+    assert [str(goal) for goal in goals] == ["(visited north)", "(home)"]
 
 
 @given(numbers=st.lists(st.sampled_from(range(6)), max_size=8))

@@ -84,7 +84,9 @@ def run(extended, policy, events):
             check(world)
             running = [step.action for step in world.executor.current_steps]
             assert not world.kb.unfeasible & set(running)
-    world.kb.unfeasible, world.facts, world.events = set(), {}, {}
+    world.kb.unfeasible = set()
+    world.facts = {}
+    world.events = {}
     world.executor.goals.replace("(and (recharged bluerov) (pipeline_inspected pipeline))")
     assert world.run() is Status.SUCCESS
     check(world)
@@ -104,5 +106,6 @@ def test_whatever_happens_the_goal_is_reached_once_it_can_be(extended, policy, e
 )
 @given(policy=POLICIES, events=st.lists(EVENTS, max_size=12))
 def test_the_same_events_lead_to_the_same_steps_and_plans(extended, policy, events):
-    first, second = run(extended, policy, events), run(extended, policy, events)
+    first = run(extended, policy, events)
+    second = run(extended, policy, events)
     assert (first.log, first.executor.plans) == (second.log, second.executor.plans)

@@ -70,7 +70,8 @@ def test_what_must_overlap_does_and_what_waits_for_others_waits_however_long_the
 ):
     world.ticks = ticks
     assert world.run() is Status.SUCCESS
-    begins, ends = times(world, "begins"), times(world, "SUCCESS")
+    begins = times(world, "begins")
+    ends = times(world, "SUCCESS")
     assert begins["light"] <= begins["mend"] < ends["mend"] <= ends["light"]
     assert begins["wash"] < ends["light"]
     assert begins["pack"] >= max(ends["wash"], ends["mend"])
@@ -138,7 +139,8 @@ def test_a_schedule_that_the_judge_accepts_can_be_executed_in_whatever_order_it_
     )
     assert plan.prediction(cellar, state).flaw is None
     number = {str(step): number for number, step in enumerate(plan.steps)}
-    second_match, second_fuse = number["light(blue)"], number["mend(two, blue)"]
+    second_match = number["light(blue)"]
+    second_fuse = number["mend(two, blue)"]
     assert StepEvent(second_match, False) in plan.after[second_fuse], (
         "it needs the light from the beginning"
     )
@@ -170,7 +172,8 @@ def test_a_step_waits_for_what_is_over_at_once_and_provides_what_it_needs_all_th
     steps = tuple(timed.step for timed in schedule)
     plan = PlanExecution.of(lamp, PlanningResult(Outcome.SOLVED, steps, schedule=schedule), ())
     assert plan.prediction(lamp, state).flaw is None
-    switch_on, mend = names.index("switch_on"), names.index("mend")
+    switch_on = names.index("switch_on")
+    mend = names.index("mend")
     assert StepEvent(switch_on, True) in plan.after[mend]
     assert plan.startable == (switch_on,)
 

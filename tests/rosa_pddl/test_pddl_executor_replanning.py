@@ -123,7 +123,8 @@ def roads(tmp_path_factory):
 
 @pytest.mark.parametrize("toll", [9, 9.0, np.float32(9.0), np.int64(9)])
 def test_with_the_numbers_that_are_sensed_another_plan_is_the_best(roads, toll):
-    cheap, dear = World(roads), World(roads)
+    cheap = World(roads)
+    dear = World(roads)
     dear.facts = {"(TOLL)": toll, "(closed)": np.bool_(True)}
     assert (cheap.run(), dear.run()) == (Status.SUCCESS, Status.SUCCESS)
     assert (cheap.plans(), dear.plans()) == ([["pay"]], [["around", "back"]])

@@ -1,4 +1,7 @@
-"""Whatever goes wrong for a while, afterwards exactly what can be reached is reached; the long part is a benchmark."""
+"""Whatever goes wrong for a while, afterwards exactly what can be reached is reached.
+
+The long part is a benchmark.
+"""
 
 from faulty_worlds import Ground, episode
 

@@ -156,7 +156,8 @@ def test_a_variable_of_several_types_is_of_what_appears_later_too(kind, is_drive
 
 
 def test_worlds_of_objects_that_were_there_before_are_forgotten(rocks):
-    planner, made = Planner(), []
+    planner = Planner()
+    made = []
     for number in range(40):
         grown = with_object(rocks, f"sample_{number + 10}", "sample")
         made.append(weakref.ref(grown))

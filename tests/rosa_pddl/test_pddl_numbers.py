@@ -50,7 +50,7 @@ def test_a_battery_that_is_used_and_charged_is_planned_with_exactly(charging):
     state = initial_state(charging)
     assert "(= (level leia) 60)" in state
     result = Planner().plan(Problem(charging, state))
-    assert (result.outcome, [one.strategy for one in result.attempts]) == (
+    assert (result.outcome, [attempt.strategy for attempt in result.attempts]) == (
         Outcome.SOLVED_OPTIMALLY,
         ["search"],
     )
@@ -102,7 +102,7 @@ def test_numbers_that_only_rise_may_be_minimized(metric, far, step):
         METRIC, f"(define (problem p) (:domain m) {init} (:goal (a)) (:metric minimize {metric}))"
     )
     result = Planner().plan(Problem(domain, initial_state(domain)))
-    assert [one.schema for one in result.steps] == [step]
+    assert [step.schema for step in result.steps] == [step]
 
 
 # ------------------------------------------------------------------ random worlds
@@ -117,7 +117,9 @@ def numeric_worlds(draw):
     number = st.sampled_from(["(x)", "(y)"])
     actions = []
     for name in range(draw(st.integers(2, 4))):
-        one, other, by = draw(number), draw(number), draw(st.sampled_from(["1", "2", "0.5", "(y)"]))
+        one = draw(number)
+        other = draw(number)
+        by = draw(st.sampled_from(["1", "2", "0.5", "(y)"]))
         test = f"({draw(st.sampled_from(COMPARE))} {draw(number)} {draw(st.sampled_from(['1', '2', '(x)', '1.5']))})"
         needs = draw(
             st.sampled_from(

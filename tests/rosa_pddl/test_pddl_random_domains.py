@@ -50,9 +50,13 @@ def action(rng, number, heads):
     if rng.random() < 0.3:
         effects = " ".join(effect(rng, variables, str, heads) for _ in range(rng.randint(1, 3)))
         return f"(:action {head} :precondition {formula(rng, variables, heads=heads)} :effect (and {effects}))"
-    times, depth, sure = ("at start", "over all", "at end"), 0, []
+    times = ("at start", "over all", "at end")
+    depth = 0
+    sure = []
     if heads != "pq":  # else hardly a step could start or change what it needs
-        times, depth, sure = rng.sample(times, k=1), 2, ["at start", "at start"]
+        times = rng.sample(times, k=1)
+        depth = 2
+        sure = ["at start", "at start"]
     needs = " ".join(f"({time} {formula(rng, variables, depth, heads)})" for time in times)
     times = sure + rng.choices(["at start", "at end"], k=rng.randint(1, 4))
     effects = " ".join(
@@ -88,7 +92,8 @@ def random_domain(rng, is_derived=False):
 
 @pytest.mark.parametrize("is_derived", [False, True])
 def test_fewest_steps_are_those_of_brute_force(is_derived):
-    planner, found = Planner(timeout_s=1.0), []
+    planner = Planner(timeout_s=1.0)
+    found = []
     first = 60 if is_derived else 0  # these have steps whose start changes what is derived
     for seed in range(first, first + (10 if is_derived else 60)):
         rng = Random(seed)
@@ -152,7 +157,7 @@ def test_what_is_derived_after_the_start_of_a_step_is_derived_from_what_the_star
     results = [Planner().plan(problem)]
     if "heat" not in start_effects:
         results.append(Planner(moves=0).plan(problem))  # by Fast Downward
-    assert {(one.outcome.is_trouble, one.cost) for one in results} == {(False, fewest)}
+    assert {(result.outcome.is_trouble, result.cost) for result in results} == {(False, fewest)}
     assert fewest_steps(domain, problem.state) == fewest
 
 
@@ -195,4 +200,4 @@ def test_variable_with_the_name_of_a_parameter_is_another_thing(start_effect, st
         "(define (problem p) (:domain d) (:objects a b - t) (:init (p a)) (:goal (and (q a) (not (q b)))))",
     )
     result = Planner().plan(Problem(domain, initial_state(domain)))
-    assert [str(one) for one in result.steps] == [step]
+    assert [str(step) for step in result.steps] == [step]

@@ -139,7 +139,8 @@ def test_a_domain_without_the_conventions_is_told_and_follows_the_knowledge_base
 
 
 def test_a_parameter_can_be_told_and_is_then_watched():
-    before, told = load("inspection"), load("inspection", actions={"recharge": "?a1"})
+    before = load("inspection")
+    told = load("inspection", actions={"recharge": "?a1"})
     assert told.schema_of["recharge"].action == "a1"
     assert (
         len(told.schema_of["recharge"].over_all) == len(before.schema_of["recharge"].over_all) + 1

@@ -1,4 +1,7 @@
-"""Files as they come: sections in any order, durations of any form, misspelt words; what is wrong has a place."""
+"""Files as they come: sections in any order, durations of any form, misspelt words.
+
+What is wrong has a place.
+"""
 
 from pathlib import Path
 
@@ -65,10 +68,8 @@ def as_text(tree):
     rng=st.randoms(use_true_random=False),
 )
 def test_the_order_of_sections_makes_no_difference(name, rng):
-    whole, mixed = (
-        parse_domain(*texts(name)),
-        parse_domain(*(shuffled(text, rng) for text in texts(name))),
-    )
+    whole = parse_domain(*texts(name))
+    mixed = parse_domain(*(shuffled(text, rng) for text in texts(name)))
     assert sorted(mixed.schemas) == sorted(whole.schemas)
     assert {name: schema.action for name, schema in mixed.schema_of.items()} == {
         name: schema.action for name, schema in whole.schema_of.items()

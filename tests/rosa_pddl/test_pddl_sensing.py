@@ -41,7 +41,8 @@ def test_what_is_believed_is_what_was_sensed_last_or_what_a_step_left(signals, m
     kb.unfeasible = set() if feasible else {"wave"}
     answer: dict[str, bool | float] = {}
     belief = Belief(signals, kb, lambda: answer)
-    facts, numbers = {"(wave_action wave)", "(on red)"}, {}
+    facts = {"(wave_action wave)", "(on red)"}
+    numbers = {}
     step = signals.step("wave", ("wave", "red"))
     for moment in moments:
         if moment == "wave":

@@ -149,7 +149,8 @@ def test_a_step_that_keeps_failing_gives_way_to_a_dearer_one(ways):
 
 def test_a_step_that_failed_once_waits_a_moment_and_is_begun_again(ways):
     world = World(ways)
-    world.facts, world.events = {"(damp)": False, "(far)": 100.0}, {"near": Status.FAILURE}
+    world.facts = {"(damp)": False, "(far)": 100.0}
+    world.events = {"near": Status.FAILURE}
     assert world.run() is Status.SUCCESS
     assert begun(world) == {"near": 2}
     assert world.executor._backoff.weights == {}

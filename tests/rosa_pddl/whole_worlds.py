@@ -38,7 +38,7 @@ def random_domain(rng):
     facts = [f"(road {a} {b}) (= (far {a} {b}) {far})" for a, b, far in roads]
     facts += [f"(station {place})" for place in places if rng.random() < 0.4]
     samples = [f"s{number}" for number in range(int(rng.integers(1, 3)))]
-    facts += [f"(lies {one} {rng.choice(places)})" for one in samples]
+    facts += [f"(lies {sample} {rng.choice(places)})" for sample in samples]
     goal = (
         "(forall (?s - sample) (sent ?s))"
         if rng.random() < 0.7
@@ -60,7 +60,8 @@ def can_be_reached(domain, state, goals):
     steps = [
         domain.step(name, words) for name, lists in choices.items() for words in product(*lists)
     ]
-    queue, seen = deque([state]), {state}
+    queue = deque([state])
+    seen = {state}
     while queue:
         state = queue.popleft()
         if goal_holds(domain, state, goals):
@@ -77,13 +78,14 @@ def can_be_reached(domain, state, goals):
 def episode(rng, planner):
     """Run a world to its end; return whether the goal was and could be reached.
 
-    Samples come and go, fuel is lost and roads are closed at random ticks; what could be reached is asked of brute
-    force when the executor has ended and nothing happens any more. An end that never comes raises.
+    Samples come and go, fuel is lost and roads are closed at random ticks; what could be reached is
+    asked of brute force when the executor has ended and nothing happens any more. An end that never
+    comes raises.
     """
     domain = random_domain(rng)
     world = World(domain, planner)
     world.ticks = {schema: int(rng.integers(1, 6)) for schema in domain.schemas}
-    events = sorted(int(one) for one in rng.integers(0, 60, size=int(rng.integers(0, 4))))
+    events = sorted(int(integer) for integer in rng.integers(0, 60, size=int(rng.integers(0, 4))))
     for tick in range(_MOST_TICKS):
         status = world.tick()
         world.facts = {
@@ -99,15 +101,18 @@ def episode(rng, planner):
                 break
     else:
         raise AssertionError(f"endless: {world.executor.feedback_message}")
-    state, executor = world.executor.state, world.executor
+    state = world.executor.state
+    executor = world.executor
     known = executor._domain
     goals = [goal.expression for goal in executor.goals]
     return executor.status is Status.SUCCESS, can_be_reached(known, state, goals)
 
 
 def happen(rng, world):
-    executor, kind = world.executor, rng.random()
-    samples, places = executor.objects("sample"), executor.objects("place")
+    executor = world.executor
+    kind = rng.random()
+    samples = executor.objects("sample")
+    places = executor.objects("place")
     if kind < 0.45:
         name = f"n{len(samples)}_{world.tick_number}"
         world.facts[f"{name} - sample"] = True
