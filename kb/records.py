@@ -218,7 +218,7 @@ class Log:
     def __init__(self, lock: AbstractContextManager[object], catch_up: Callable[[], None]) -> None:
         self._lock = lock
         self.catch_up = catch_up  # called before all are looked at: what was interrupted ends
-        self._events: deque[Event] = deque(maxlen=_MOST_EVENTS)
+        self._events: deque[Any] = deque(maxlen=_MOST_EVENTS)
         self.last = 0
         self.time = -math.inf
         self.witnesses: tuple[Callable[[Any], None], ...] = ()
