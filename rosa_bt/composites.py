@@ -12,7 +12,7 @@ from kb import UnknownName
 from rosa_bt.behaviours import ActionBehaviour, IsActionFeasible, RosaAction
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import TreeChangeError, path_of
-from rosa_bt.requests import Requester, is_parallel
+from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS, Requester, is_parallel
 
 
 def failed_as_unfeasible(task: Behaviour) -> bool:
@@ -21,7 +21,7 @@ def failed_as_unfeasible(task: Behaviour) -> bool:
     The child that failed last decides, e.g. the failed step of a sequence; of a parallel, all
     children that failed.
     """
-    failed = [child for child in task.children if child.status is Status.FAILURE]
+    failed = [child for child in task.children if child.status is FAILURE]
     if isinstance(task, ActionBehaviour | ForAction):
         is_unfeasible = task.action not in task.kb.actions or not task.kb.is_feasible(task.action)
         is_unfeasible |= isinstance(task, IsActionFeasible) and task.ends_too_soon
@@ -39,13 +39,13 @@ class _RoleComposite(composites.Composite):
         raise NotImplementedError
 
     def tick(self) -> Iterator[Behaviour]:
-        if self.status is not Status.RUNNING:
+        if self.status is not RUNNING:
             for child in self.children:
-                if child.status is not Status.INVALID:
-                    child.stop(Status.INVALID)
+                if child.status is not INVALID:
+                    child.stop(INVALID)
             self.initialise()
         self.status = yield from self.advance()
-        if self.status is not Status.RUNNING:
+        if self.status is not RUNNING:
             self.stop(self.status)
         yield self
 
@@ -73,26 +73,26 @@ class DoUntilUnfeasible(_RoleComposite):
 
     def advance(self) -> Generator[Behaviour, None, Status]:
         task, meanwhile = self.children
-        if self.memory and meanwhile.status is Status.RUNNING:
+        if self.memory and meanwhile.status is RUNNING:
             yield from meanwhile.tick()
-        if not (self.memory and meanwhile.status is Status.RUNNING):
+        if not (self.memory and meanwhile.status is RUNNING):
             yield from self._do(task, meanwhile)
         is_instead = self.current_child is not task
         self.feedback_message = f"instead of {task.name}" if is_instead else ""
-        return Status.RUNNING if is_instead else task.status
+        return RUNNING if is_instead else task.status
 
     def _do(self, task: Behaviour, meanwhile: Behaviour) -> Iterator[Behaviour]:
         """Tick the task or `meanwhile`; if `meanwhile` succeeds at once, tick both once more."""
         for _ in range(2):
             yield from task.tick()
-            if task.status is not Status.FAILURE or not failed_as_unfeasible(task):
+            if task.status is not FAILURE or not failed_as_unfeasible(task):
                 self.current_child = task
-                if meanwhile.status is not Status.INVALID:
-                    meanwhile.stop(Status.INVALID)
+                if meanwhile.status is not INVALID:
+                    meanwhile.stop(INVALID)
                 return
             self.current_child = meanwhile
             yield from meanwhile.tick()
-            if meanwhile.status is not Status.SUCCESS:
+            if meanwhile.status is not SUCCESS:
                 return
 
 
@@ -136,13 +136,13 @@ class SafeSwitch(_RoleComposite):
             yield from transition.tick()
             feedback = f"switching from {before}: {transition.feedback_message}"
             self.feedback_message = feedback.removesuffix(": ")
-            if transition.status is not Status.SUCCESS:
+            if transition.status is not SUCCESS:
                 return transition.status
             self.last_action[_LAST] = self.action
         self.current_child = task
         yield from task.tick()
         self.feedback_message = task.feedback_message
-        if task.status is not Status.FAILURE:
+        if task.status is not FAILURE:
             self.last_action[_LAST] = self.action
         return task.status
 

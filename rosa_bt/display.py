@@ -19,11 +19,12 @@ from rosa_bt.behaviours import ActionBehaviour
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import in_words
+from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS
 
-_MARKS = {Status.SUCCESS: "o", Status.FAILURE: "x", Status.RUNNING: "*", Status.INVALID: "-"}
+_MARKS = {SUCCESS: "o", FAILURE: "x", RUNNING: "*", INVALID: "-"}
 _FILLS = {
-    **{Status.SUCCESS: "#d5ecd4", Status.FAILURE: "#f6d0cb"},
-    **{Status.RUNNING: "#cfe0f5", Status.INVALID: "#f2f2f2"},
+    **{SUCCESS: "#d5ecd4", FAILURE: "#f6d0cb"},
+    **{RUNNING: "#cfe0f5", INVALID: "#f2f2f2"},
 }
 _SIGNS = {
     **{SequenceNode: "->", SafeSwitch: "->", Selector: "?", DoUntilUnfeasible: "?!"},
@@ -94,11 +95,7 @@ def _rows(root: Behaviour) -> list[_Row]:
     pending = [(root, -1, "", "", False)]
     while pending:
         behaviour, parent, lead, below, is_idle = pending.pop()
-        status = (
-            Status.INVALID
-            if is_idle and behaviour.status is not Status.RUNNING
-            else behaviour.status
-        )
+        status = INVALID if is_idle and behaviour.status is not RUNNING else behaviour.status
         reason = _feasibility(behaviour)
         is_said = reason in said
         said.add(reason)
@@ -117,7 +114,7 @@ def _rows(root: Behaviour) -> list[_Row]:
         )
         for child in reversed(behaviour.children):
             step, rest = ("`-- ", "    ") if child is behaviour.children[-1] else ("|-- ", "|   ")
-            pending.append((child, len(rows), below + step, below + rest, status is Status.INVALID))
+            pending.append((child, len(rows), below + step, below + rest, status is INVALID))
         rows.append(_Row(parent, lead, title, status, edge, tuple(filter(None, notes))))
     return rows
 
