@@ -452,7 +452,7 @@ class HistoryView:
 
     @property
     def progress(self) -> Mapping[tuple[str, str], str]:
-        """The progress of interrupted actions as the task layer saved it, by action and behaviour."""
+        """The saved progress of interrupted actions, by action and behaviour."""
         with self._reading():
             return {key: saved for key, saved in self._records.progress.items() if saved}
 
