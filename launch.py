@@ -5,9 +5,8 @@
     python3 launch.py pytest
 
 It installs what the command needs: for `rosa` and `python` what running needs, with the extras for
-    its options; for any
-other command what testing needs, too.
-Needs nothing but Python >= 3.11 and pip. The versions installed are those of constraints.txt.
+its options; for any other command what testing needs, too. Needs nothing but Python >= 3.11 and
+pip. The versions installed are those of constraints.txt.
 """
 
 import hashlib

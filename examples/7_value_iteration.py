@@ -1,9 +1,8 @@
 """A Markov decision process, solved by value iteration over the situations of a knowledge base.
 
 A rover films a cave of four chambers. Filming drains the battery, and a chamber can break the
-camera. What is feasible in
-a state is asked of the knowledge base: the decider knows neither the limit of the battery nor what
-    the camera is for.
+camera. What is feasible in a state is asked of the knowledge base: the decider knows neither the
+limit of the battery nor what the camera is for.
 """
 
 from functools import cache

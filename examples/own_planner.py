@@ -1,9 +1,8 @@
 """Replace one stage of the manager's loop: a planner that takes turns instead of taking the best.
 
 The stages talk only through the knowledge base, so a planner is one method: it asks what is
-    adaptable and selectable,
-and answers what `kb.select` returns. Monitors (`observe`) and executors (`execute`) are replaced in
-the same way.
+adaptable and selectable, and answers what `kb.select` returns. Monitors (`observe`) and executors
+(`execute`) are replaced in the same way.
 """
 
 from kb import ConfigurationManager, KnowledgeBase, Model, ReconfigurationPlan

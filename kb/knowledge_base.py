@@ -210,7 +210,8 @@ class KnowledgeBase:
         self._state = State(network, keep)
         self._records = Records()
         self._event: Event | None = None  # recorded, and not applied completely
-        self._amendment: elements.Amended | None = None
+        self._amendment: elements.Amended | None = None  # the last change of the model
+        self._followed: elements.Amended | None = None  # the last one that is recorded
         self._revision = 0
         self._changed_by: dict[Node, int] = {}  # the last event that changed its status
         self._feasibility: int | None = None  # the last event that changed an action's feasibility
@@ -361,7 +362,7 @@ class KnowledgeBase:
         """
         return self._ontology.world
 
-    # ---------------------------------------------------------------- told: what is so
+    # ---------------------------------------------------------------- record facts
 
     @_update
     def measure(self, attribute: str, value: float) -> None:
@@ -490,7 +491,7 @@ class KnowledgeBase:
             flag("selected", selected, InvalidValue)
         self._record("assert_selected", (node.ref, selected, reason))
 
-    # ---------------------------------------------------------------- told: actions and plans
+    # ---------------------------------------------------------------- record actions and plans
 
     @_update
     def request_action(
@@ -622,7 +623,7 @@ class KnowledgeBase:
         self._record("finish_plan", (record.number, result), record.cause)
         return True
 
-    # ---------------------------------------------------------------- told: records
+    # ---------------------------------------------------------------- record what is done
 
     @_update
     def component_started(self, component: str, pid: int) -> Process:
@@ -981,7 +982,7 @@ class KnowledgeBase:
                 raise KnowledgeBaseError(_REENTRANT)
             self._settled()
             with self._updating:
-                if change is not self._amendment:
+                if change is not self._followed:
                     change.put()  # no fact is recorded meanwhile: each is of one model
                     self._follow(change)
 
@@ -998,6 +999,7 @@ class KnowledgeBase:
     def _renew(self) -> None:
         """Follow the model as it is now; it can be repeated."""
         assert self._amendment is not None  # an amendment is noted before it is recorded
+        self._followed = self._amendment
         self._network.renew()
         for node in set(self._changed_by).difference(self._network.present()):
             del self._changed_by[node]

@@ -158,8 +158,8 @@ PROPERTIES: Final = {
     for cls, word in CLASSES.items()
 }
 """The property of each field, by dataclass."""
-_OWN_PROPERTIES: Final = {*_RANGES, *chain.from_iterable(map(dict.values, PROPERTIES.values()))}
-WORDS: Final = {*_PARENTS, *_OWN_PROPERTIES, "position", "order"} - {""}
+_FIELDS: Final = chain.from_iterable(own.values() for own in PROPERTIES.values())
+WORDS: Final = {*_PARENTS, *_RANGES, *_FIELDS, "position", "order"} - {""}
 
 
 def _lineage(word: str) -> list[str]:

@@ -53,10 +53,10 @@ class Optimum:
 
     Attributes:
         choice: what to select.
-        value: the worth of the choice, less switching costs.
+        value: the worth of the choice, less switching costs; at least that if it is not proven.
         switching: the switching costs.
         bound: an upper bound of the value of any choice.
-        is_proven: no choice is better, and no equal one comes first in order.
+        is_proven: no choice is better, and no equal one comes before it.
         reason: how sure that is, in words.
     """
 
@@ -193,11 +193,11 @@ class Problem:
         self._gains: dict[Node, list[tuple[Estimation, float]]] = {}
         total = 1.0
         for estimation in network.model.estimations:
-            gain = weights.get(estimation.attribute, 0.0) * estimation.adds
-            if gain:
-                self._gains.setdefault(network.find(estimation.causer), []).append(
-                    (estimation, gain)
-                )
+            weight = weights.get(estimation.attribute)
+            if weight:
+                gain = weight * estimation.adds
+                gains = self._gains.setdefault(network.find(estimation.causer), [])
+                gains.append((estimation, gain))
                 total += abs(gain)
         if isinstance(switching_cost, Mapping):
             costs = {network.components[name]: cost for name, cost in switching_cost.items()}
@@ -216,43 +216,37 @@ class Problem:
         self._encode(state)
 
     def solve(self, effort: float = 0.3) -> Optimum | None:
-        """Return the best choice found within an effort; of equally good ones the first.
+        """Return the best choice found within an effort, None if none was found.
 
-        The order of choices is by priority and name of the design of the function declared first,
-        then of the next function, and so on, and then by the configurations of the components in
-        the same way. None: no choice was found within the effort.
+        Of equally good ones it is one of those whose parts come first by priority and name: the sum
+        of their ranks is lowest.
         """
         cp = self._cp
-        model = self._model
         solver: Untyped = cp.CpSolver()
         for name, value in _SETTINGS.items():
             setattr(solver.parameters, name, value)
         solver.parameters.max_deterministic_time = effort
-        model.maximize(sum(self._worth))
-        status = solver.solve(model)
+        tables = self._options.values()
+        ranks = [literal * rank for table in tables for rank, literal in enumerate(table.values())]
+        more_than_ranks = 1 + sum(map(len, tables))
+        worth = sum(self._worth)
+        self._model.maximize(worth * more_than_ranks - sum(ranks))
+        status = solver.solve(self._model)
         if status not in (cp.OPTIMAL, cp.FEASIBLE):
             return None
-        worth = round(solver.objective_value)
-        bound = round(solver.best_objective_bound)
-        choice, switching = self._read(solver)
-        is_proven = False
-        if status == cp.OPTIMAL:  # now the first choice of that worth, without another presolving
-            model.add(sum(self._worth) >= worth)
-            model.clear_objective()
-            model.clear_hints()
-            for options in self._options.values():
-                order = (cp.CHOOSE_FIRST, cp.SELECT_MAX_VALUE)
-                model.add_decision_strategy([*options.values()], *order)
-            solver.parameters.search_branching = cp.FIXED_SEARCH
-            solver.parameters.cp_model_presolve = False
-            solver.parameters.max_deterministic_time -= solver.response_proto.deterministic_time
-            is_proven = solver.solve(model) in (cp.OPTIMAL, cp.FEASIBLE)
-            if is_proven:
-                choice, switching = self._read(solver)
-        value = worth / self._scale
-        optimum = Optimum(choice, value, switching, bound / self._scale, is_proven)
+        value = solver.value(worth)
+        bound = value
+        if status == cp.FEASIBLE:
+            bound = math.floor(solver.best_objective_bound / more_than_ranks) + 1
+        optimum = Optimum(
+            self._read(solver),
+            value / self._scale,
+            solver.value(sum(self._switching)) / self._scale,
+            bound / self._scale,
+            status == cp.OPTIMAL,
+        )
         reason = self._reason(optimum, effort)
-        return replace(optimum, choice=choice._replace(reason=reason), reason=reason)
+        return replace(optimum, choice=optimum.choice._replace(reason=reason), reason=reason)
 
     def _encode(self, state: State) -> None:
         kept = []  # designs of functions that are stuck with what they have
@@ -344,8 +338,7 @@ class Problem:
         self._model.add(sum(literal for literal, _ in levels) + is_unset >= 1)
         return worst
 
-    def _read(self, solver: Untyped) -> tuple[Choice, float]:
-        """Return the choice that was found, and its switching costs."""
+    def _read(self, solver: Untyped) -> Choice:
         choice = Choice({}, {})
         for owner, options in self._options.items():
             for node, literal in options.items():
@@ -353,7 +346,7 @@ class Problem:
                     is_design = node.kind == "function design"
                     names: Any = choice.designs if is_design else choice.configurations
                     names[owner.name] = node.name
-        return choice, solver.value(sum(self._switching)) / self._scale
+        return choice
 
     def _reason(self, optimum: Optimum, effort: float) -> str:
         """Say why the choice is the best, what it is worth, and how sure that is."""
@@ -365,9 +358,6 @@ class Problem:
         if optimum.is_proven:
             return f"of all choices this is the best for {goal}, {worth}"
         work = f"an effort of {effort:g}"
-        if not optimum.gap:
-            first = f"{work} did not prove that it comes first"
-            return f"no choice is better than this one, {worth}; {first}"
         gap = f"none is worth more than {number(optimum.bound)} (a gap of {number(optimum.gap)})"
         return f"this is the best for {goal} that {work} found, {worth}; {gap}"
 

@@ -114,17 +114,6 @@ class Obsolete(NamedTuple):
         return any(self)
 
 
-def obsolete(state: State) -> Obsolete:
-    """Return what is selected or active for no required function."""
-    nodes = state.obsolete()
-    kinds = "component", "function design", "configuration"
-    return Obsolete(*(_names(node for node in nodes if node.kind == kind) for kind in kinds))
-
-
 def by_owner(chosen: Iterable[Node]) -> Mapping[str, str]:
     """Return the names of what is chosen by what it is chosen for."""
     return MappingProxyType({node.used_by[0].name: node.name for node in chosen})
-
-
-def _names(nodes: Iterable[Node]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(node.name for node in nodes))

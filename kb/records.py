@@ -218,7 +218,7 @@ class Log:
     def __init__(self, lock: AbstractContextManager[object], catch_up: Callable[[], None]) -> None:
         self._lock = lock
         self.catch_up = catch_up  # called before all are looked at: what was interrupted ends
-        self._events: deque[Event] = deque(maxlen=_MOST_EVENTS)
+        self._events: deque[Any] = deque(maxlen=_MOST_EVENTS)
         self.last = 0
         self.time = -math.inf
         self.witnesses: tuple[Callable[[Any], None], ...] = ()
@@ -451,7 +451,7 @@ class HistoryView:
 
     @property
     def progress(self) -> Mapping[tuple[str, str], str]:
-        """The progress of interrupted actions as the task layer saved it, by action and behaviour."""
+        """The saved progress of interrupted actions, by action and behaviour."""
         with self._reading():
             return {key: saved for key, saved in self._records.progress.items() if saved}
 

@@ -17,7 +17,6 @@ from kb.exceptions import InvalidValue
 from kb.forecast import feasible_until, suppose_forecast
 from kb.network import Network, Node, Ref
 from kb.planning import Choice, Obsolete, by_owner, firsts_by_priority
-from kb.planning import obsolete as all_obsolete
 from kb.state import State, in_order
 from kb.status import Status
 from kb.views import ElementView, Readable
@@ -103,7 +102,9 @@ def adaptable_components(
 def obsolete(base: Readable) -> Obsolete:
     """Names of the components, designs and configurations that nothing required needs any more."""
     with base.reading() as state:
-        return all_obsolete(state)
+        nodes = state.obsolete()
+    kinds = "component", "function design", "configuration"
+    return Obsolete(*(tuple(node.name for node in nodes if node.kind == kind) for kind in kinds))
 
 
 def explain(base: Readable, element: ElementLike) -> explanation.Explanation:
@@ -279,11 +280,11 @@ class Situation:
 
     def __init__(self, state: State, now: float, forecast: Any) -> None:  # noqa: ANN401  # a `Forecaster`, which is made of views
         self._state = state
-        self._now = now
+        self.now = now  # the time for which it was made [s]
         self.forecast = forecast
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Situation, (self._state, self._now, None)
+        return Situation, (self._state, self.now, None)
 
     actions = views.ViewsOf(views.ActionView)
     functions = views.ViewsOf(views.FunctionView)
@@ -304,11 +305,6 @@ class Situation:
     explain_choice = explain_choice
     situation = situation
     feasible_until = feasible_until
-
-    @property
-    def now(self) -> float:
-        """The time for which it was made [s]."""
-        return self._now
 
     def reading(self) -> AbstractContextManager[State]:
         """Give the facts and statuses, to be read only, of the model as it is now."""

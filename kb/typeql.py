@@ -10,7 +10,7 @@ import math
 import re
 import tomllib
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
@@ -18,7 +18,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
-from lark import Lark, Token, Tree, UnexpectedCharacters, UnexpectedToken
+from lark import Lark, Token, Tree, UnexpectedInput, UnexpectedToken
 
 from kb import elements
 from kb.elements import Configuration, Constraint, Element, Fact, finite_number
@@ -90,29 +90,25 @@ def parse(text: str, file: str) -> list[Tree[Token]]:
     try:
         queries = _parser().parse(text).children
         return [query for query in queries if isinstance(query, Tree) and query.data != "define"]
-    except UnexpectedCharacters as error:
-        word = text[error.pos_in_stream or 0]
-        raise _unexpected(word, error.allowed, file, error.line, error.column) from None
-    except UnexpectedToken as error:
-        line = error.line
-        column = error.column
-        if error.token.type == "$END":
-            line = text.count("\n") + 1
-            column = len(text) - text.rfind("\n")
-        allowed = error.accepts or error.expected
-        raise _unexpected(str(error.token), allowed, file, line, column) from None
+    except UnexpectedInput as error:
+        raise _unexpected(text, file, error) from None
 
 
-def _unexpected(
-    word: str, allowed: Iterable[str], file: str, line: int, column: int
-) -> ModelFileError:
+def _unexpected(text: str, file: str, error: Any) -> ModelFileError:  # noqa: ANN401  # of two classes
+    """Return the error for what the parser did not expect."""
+    is_token = isinstance(error, UnexpectedToken)
+    allowed = (error.accepts or error.expected) if is_token else error.allowed
     names = sorted({name.strip("_").lower() for name in allowed} - {"$end"})
-    message = f"unexpected `{word:.40}`" if word else "the file ends here"
-    message += f"; expected {', '.join(names)}"
+    expected = f"expected {', '.join(names)}"
+    word = str(error.token) if is_token else text[error.pos_in_stream]
+    if not word:
+        end = Place(file, text.count("\n") + 1, len(text) - text.rfind("\n"))
+        return end.error(f"the file ends here; {expected}")
+    message = f"unexpected `{word:.40}`; {expected}"
     if word in _READING:
         does = "changes" if word in _CHANGING else "reads"
         message = f"`{word}` {does} a database; a model file only states: use `insert`"
-    return ModelFileError(message, file, line, column)
+    return ModelFileError(message, file, error.line, error.column)
 
 
 def _place(file: str, where: Token | Statement) -> Place:

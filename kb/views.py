@@ -98,12 +98,17 @@ class Declared(Generic[T]):
         return value
 
 
-class Parts:
-    """A property that gives the names of an element's parts, in order of declaration."""
+def _parts(_: State, node: Node) -> tuple[str, ...]:
+    """Return the names of an element's parts, in order of declaration."""
+    return tuple(part.name for part in node.requires)
 
-    def __get__(self, view: ElementView, _: type) -> tuple[str, ...]:
-        with view.base.reading():
-            return tuple(part.name for part in view.node.requires)
+
+def _selected(state: State, node: Node) -> str | None:
+    return next((part.name for part in node.requires if part in state.selected), None)
+
+
+def _history(state: State, node: Node) -> tuple[tuple[float, float], ...]:
+    return tuple((time, value) for time, value, _ in tuple(state.histories.get(node, ())))
 
 
 class ConstraintView(ElementView):
@@ -135,7 +140,7 @@ class ActionView(_StatusView):
     __slots__ = ()
 
     is_required = Known[bool](State.is_required)
-    functions = Parts()
+    functions = Known(_parts)
 
 
 class FunctionView(_StatusView):
@@ -148,7 +153,7 @@ class FunctionView(_StatusView):
 
     is_required = Known[bool](State.is_required)
     always_improve = Declared[bool]()
-    designs = Parts()
+    designs = Known(_parts)
 
 
 class ComponentView(_StatusView):
@@ -163,19 +168,14 @@ class ComponentView(_StatusView):
     stops_to_configure = Declared[bool]()
     package = Declared[str]()
     executable = Declared[str]()
-    configurations = Parts()
+    configurations = Known(_parts)
 
-    @property
-    def selected_configuration(self) -> str | None:
-        """Name of the selected configuration; None if none is selected."""
-        with self.base.reading() as state:
-            return next((part.name for part in self.node.requires if part in state.selected), None)
-
-    @property
-    def parameters_in_force(self) -> Parameters:
-        """The parameters that were set last; empty before the first time."""
-        with self.base.reading() as state:
-            return MappingProxyType(dict(state.parameters.get(self.name, {})))
+    selected_configuration = Known(_selected)
+    """Name of the selected configuration; None if none is selected."""
+    parameters_in_force = Known[Parameters](
+        lambda state, node: state.parameters.get(node.name) or MappingProxyType({})
+    )
+    """The parameters that were set last; empty before the first time."""
 
 
 class _SelectableView(_StatusView):
@@ -183,15 +183,8 @@ class _SelectableView(_StatusView):
 
     is_selected = Known[bool](lambda state, node: node in state.selected)
     priority = Declared[float | None]()
-
-    @property
-    def reason(self) -> str:
-        """The reason that was given with its selection.
-
-        Empty without a reason, or if it is not selected.
-        """
-        with self.base.reading() as state:
-            return state.reason("selected", self.node).text if self.node in state.selected else ""
+    reason = Known[str](lambda state, node: state.reason("selected", node).text)
+    """The reason that was given with its selection; empty without one."""
 
 
 class DesignView(_SelectableView):
@@ -229,12 +222,8 @@ class AttributeView(ElementView):
     time = Known[float | None](lambda state, node: state.time.get(node))
     is_stale = Known[bool](lambda state, node: node in state.stale)
 
-    @property
-    def history(self) -> tuple[tuple[float, float], ...]:
-        """The newest measurements as (time [s], value), in order of time."""
-        with self.base.reading() as state:
-            rows = tuple(state.histories.get(self.node, ()))
-        return tuple((time, value) for time, value, _ in rows)
+    history = Known(_history)
+    """The newest measurements as (time [s], value), in order of time."""
 
 
 ViewT = TypeVar("ViewT", bound=ElementView)
@@ -257,9 +246,6 @@ class Views(Mapping[str, ViewT]):
 
     def __len__(self) -> int:
         return len(self._table)
-
-    def __repr__(self) -> str:
-        return repr(self._now())
 
     def __iter__(self) -> Iterator[str]:
         with self._base.reading():

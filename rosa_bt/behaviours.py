@@ -15,6 +15,10 @@ from kb.status import OPERATORS, STATUSES
 from kb.views import ActionView, ComponentView, ConfigurationView, DesignView, FunctionView
 from rosa_bt.exceptions import report
 from rosa_bt.requests import (
+    FAILURE,
+    INVALID,
+    RUNNING,
+    SUCCESS,
     ActionRequest,
     Requester,
     requests_of,
@@ -22,6 +26,8 @@ from rosa_bt.requests import (
     why,
 )
 
+Ticking = Generator[Behaviour, None, Status]
+"""Yields the nodes that are visited, as `tick` of py_trees does, and returns the outcome."""
 StatusView = ActionView | FunctionView | ComponentView | DesignView | ConfigurationView
 """A view of an element that has a name and a status."""
 _SAVE_S = 1.0
@@ -34,20 +40,20 @@ def halt(root: Behaviour) -> None:
     Raises:
         BaseException: the last interrupt that arrived meanwhile, e.g. KeyboardInterrupt.
     """
-    running = [node for node in root.iterate() if node.status is Status.RUNNING]
+    running = [node for node in root.iterate() if node.status is RUNNING]
     interrupt: BaseException | None = None
     for node in (*running, *running):  # again for those whose stop was interrupted
         try:
-            if node.status is Status.RUNNING:
-                node.stop(Status.INVALID)
+            if node.status is RUNNING:
+                node.stop(INVALID)
         except Exception as error:
             report(node, error, " (at the end)")
         except BaseException as error:
             interrupt = error
             continue
-        node.status = Status.INVALID
+        node.status = INVALID
     for node in running:
-        node.status = Status.INVALID
+        node.status = INVALID
     if interrupt is not None:
         raise interrupt
 
@@ -55,7 +61,7 @@ def halt(root: Behaviour) -> None:
 class GuardedBehaviour(Behaviour):
     """A behaviour that fails on an exception, with its text as feedback; an interrupt stops it."""
 
-    def advance(self) -> Generator[Behaviour, None, Status]:
+    def advance(self) -> Ticking:
         """Do the work of one tick: yield the nodes that are visited before, return the status."""
         raise NotImplementedError
 
@@ -65,20 +71,20 @@ class GuardedBehaviour(Behaviour):
                 new_status = yield from self.advance()
             except Exception as error:
                 report(self, error)
-                new_status = Status.FAILURE
-            if new_status is Status.RUNNING:
+                new_status = FAILURE
+            if new_status is RUNNING:
                 self.status = new_status
             else:
                 self.stop(new_status)
         except BaseException:
-            self.stop(Status.INVALID)
+            self.stop(INVALID)
             raise
         yield self
 
     def shutdown(self) -> None:
         """Stop the behaviour if it is running; called when the tree is shut down."""
-        if self.status is Status.RUNNING:
-            self.stop(Status.INVALID)
+        if self.status is RUNNING:
+            self.stop(INVALID)
 
 
 class KbBehaviour(GuardedBehaviour):
@@ -104,17 +110,17 @@ class KbBehaviour(GuardedBehaviour):
             self.terminate(new_status)
         except Exception as error:
             report(self, error, " (at the end)")
-            return Status.FAILURE if new_status is Status.SUCCESS else new_status
+            return FAILURE if new_status is SUCCESS else new_status
         return new_status
 
-    def advance(self) -> Generator[Behaviour, None, Status]:
+    def advance(self) -> Ticking:
         yield from ()  # it has no children
         return self._advance()
 
     def _advance(self) -> Status:
         with self.kb.reading():  # all is answered at one moment, which the trace can name
             self.last_event = self.kb.log.last
-            if self.status is not Status.RUNNING:
+            if self.status is not RUNNING:
                 self.initialise()
             return self._updated()
 
@@ -127,7 +133,7 @@ class KbBehaviour(GuardedBehaviour):
     def _answer(self, objection: str) -> Status:
         """Return SUCCESS if there is no objection, else FAILURE; it becomes the feedback."""
         self.feedback_message = objection
-        return Status.FAILURE if objection else Status.SUCCESS
+        return FAILURE if objection else SUCCESS
 
 
 class ActionBehaviour(PortsMixin, KbBehaviour):
@@ -262,7 +268,7 @@ class Measurement(KbBehaviour):
         operator: str,
         value: float,
         *,
-        unknown: Status = Status.FAILURE,
+        unknown: Status = FAILURE,
     ) -> None:
         super().__init__(name, kb)
         if operator not in OPERATORS:
@@ -373,7 +379,7 @@ class RosaAction(ActionBehaviour, Requester):
 
         The status changes last: after an interrupt in here, a second call does the rest.
         """
-        ended = Status.INVALID
+        ended = INVALID
         has_begun = self._has_begun
         try:
             if has_begun:
@@ -385,24 +391,24 @@ class RosaAction(ActionBehaviour, Requester):
             else:
                 ended = new_status
         finally:
-            if ended is Status.INVALID and has_begun:
+            if ended is INVALID and has_begun:
                 self._request.halt()
             elif not self.is_halting:
                 self._request.close(ended, self.feedback_message)
-            elif self.status is Status.RUNNING:  # an interrupt cut the first stop short
+            elif self.status is RUNNING:  # an interrupt cut the first stop short
                 self._request.advance_halting()
         self.status = ended
         self.iterator = self.tick()
 
     def _advance(self) -> Status:
         status = self._request.admit()
-        if status is not Status.SUCCESS:
+        if status is not SUCCESS:
             return status
         if not self._has_begun:
             self._begin()
         status = self._updated()
         is_due = self.kb.store is not None and self.kb.now >= self._saved_s + _SAVE_S
-        if status is Status.RUNNING and is_due:
+        if status is RUNNING and is_due:
             self._save(status)
         return status
 
@@ -420,7 +426,7 @@ class RosaAction(ActionBehaviour, Requester):
         all_progress = requests_of(self.kb).progress
         try:
             key = (self.action, self.name)
-            progress = None if new_status is Status.SUCCESS else self.save_progress()
+            progress = None if new_status is SUCCESS else self.save_progress()
             all_progress.pop(key, None)
             if progress is not None:
                 all_progress[key] = progress

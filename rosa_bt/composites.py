@@ -1,18 +1,17 @@
 """The idioms of missions that adapt: two composites, and subtrees that are made in one call."""
 
-from collections.abc import Generator, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Iterator, Mapping, MutableMapping, Sequence
 from typing import Any
 
 from py_trees import composites
 from py_trees.behaviour import Behaviour
-from py_trees.common import Status
 from py_trees.decorators import Decorator
 
 from kb import UnknownName
-from rosa_bt.behaviours import ActionBehaviour, IsActionFeasible, RosaAction
+from rosa_bt.behaviours import ActionBehaviour, IsActionFeasible, RosaAction, Ticking
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import TreeChangeError, path_of
-from rosa_bt.requests import Requester, is_parallel
+from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS, Requester, is_parallel
 
 
 def failed_as_unfeasible(task: Behaviour) -> bool:
@@ -21,7 +20,7 @@ def failed_as_unfeasible(task: Behaviour) -> bool:
     The child that failed last decides, e.g. the failed step of a sequence; of a parallel, all
     children that failed.
     """
-    failed = [child for child in task.children if child.status is Status.FAILURE]
+    failed = [child for child in task.children if child.status is FAILURE]
     if isinstance(task, ActionBehaviour | ForAction):
         is_unfeasible = task.action not in task.kb.actions or not task.kb.is_feasible(task.action)
         is_unfeasible |= isinstance(task, IsActionFeasible) and task.ends_too_soon
@@ -34,18 +33,18 @@ def failed_as_unfeasible(task: Behaviour) -> bool:
 class _RoleComposite(composites.Composite):
     """A composite whose children have different roles; base class."""
 
-    def advance(self) -> Generator[Behaviour, None, Status]:
+    def advance(self) -> Ticking:
         """Do the work of one tick: yield the nodes that are visited before, return the status."""
         raise NotImplementedError
 
     def tick(self) -> Iterator[Behaviour]:
-        if self.status is not Status.RUNNING:
+        if self.status is not RUNNING:
             for child in self.children:
-                if child.status is not Status.INVALID:
-                    child.stop(Status.INVALID)
+                if child.status is not INVALID:
+                    child.stop(INVALID)
             self.initialise()
         self.status = yield from self.advance()
-        if self.status is not Status.RUNNING:
+        if self.status is not RUNNING:
             self.stop(self.status)
         yield self
 
@@ -71,28 +70,28 @@ class DoUntilUnfeasible(_RoleComposite):
         super().__init__(name, [task, meanwhile])
         self.memory = memory
 
-    def advance(self) -> Generator[Behaviour, None, Status]:
+    def advance(self) -> Ticking:
         task, meanwhile = self.children
-        if self.memory and meanwhile.status is Status.RUNNING:
+        if self.memory and meanwhile.status is RUNNING:
             yield from meanwhile.tick()
-        if not (self.memory and meanwhile.status is Status.RUNNING):
+        if not (self.memory and meanwhile.status is RUNNING):
             yield from self._do(task, meanwhile)
         is_instead = self.current_child is not task
         self.feedback_message = f"instead of {task.name}" if is_instead else ""
-        return Status.RUNNING if is_instead else task.status
+        return RUNNING if is_instead else task.status
 
     def _do(self, task: Behaviour, meanwhile: Behaviour) -> Iterator[Behaviour]:
         """Tick the task or `meanwhile`; if `meanwhile` succeeds at once, tick both once more."""
         for _ in range(2):
             yield from task.tick()
-            if task.status is not Status.FAILURE or not failed_as_unfeasible(task):
+            if task.status is not FAILURE or not failed_as_unfeasible(task):
                 self.current_child = task
-                if meanwhile.status is not Status.INVALID:
-                    meanwhile.stop(Status.INVALID)
+                if meanwhile.status is not INVALID:
+                    meanwhile.stop(INVALID)
                 return
             self.current_child = meanwhile
             yield from meanwhile.tick()
-            if meanwhile.status is not Status.SUCCESS:
+            if meanwhile.status is not SUCCESS:
                 return
 
 
@@ -128,7 +127,7 @@ class SafeSwitch(_RoleComposite):
         self.last_action = last_action
         self.after = tuple(transitions)
 
-    def advance(self) -> Generator[Behaviour, None, Status]:
+    def advance(self) -> Ticking:
         before = self.last_action.get(_LAST)
         task = self.children[-1]
         if before in self.after:
@@ -136,13 +135,13 @@ class SafeSwitch(_RoleComposite):
             yield from transition.tick()
             feedback = f"switching from {before}: {transition.feedback_message}"
             self.feedback_message = feedback.removesuffix(": ")
-            if transition.status is not Status.SUCCESS:
+            if transition.status is not SUCCESS:
                 return transition.status
             self.last_action[_LAST] = self.action
         self.current_child = task
         yield from task.tick()
         self.feedback_message = task.feedback_message
-        if task.status is not Status.FAILURE:
+        if task.status is not FAILURE:
             self.last_action[_LAST] = self.action
         return task.status
 

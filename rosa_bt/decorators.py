@@ -6,7 +6,7 @@ tree; in a tree without one, by the monotonic clock of this computer.
 
 import math
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 
 import py_trees.decorators
 import py_trees.timers
@@ -15,9 +15,9 @@ from py_trees.common import Status
 from py_trees.decorators import Decorator
 
 from kb import KnowledgeBase
-from rosa_bt.behaviours import GuardedBehaviour, halt
+from rosa_bt.behaviours import GuardedBehaviour, Ticking, halt
 from rosa_bt.exceptions import TreeChangeError, report
-from rosa_bt.requests import ActionRequest, Requester
+from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS, ActionRequest, Requester
 
 Clock = Callable[[], float]
 """Gives the time [s]."""
@@ -67,9 +67,9 @@ class ForAction(GuardedBehaviour, Requester, Decorator):
         self.exclusive = exclusive
         self._request = ActionRequest(self, kb)
 
-    def advance(self) -> Generator[Behaviour, None, Status]:
+    def advance(self) -> Ticking:
         new_status = self._request.admit()
-        if new_status is Status.SUCCESS:
+        if new_status is SUCCESS:
             yield from self.decorated.tick()
             new_status = self.update()
         return new_status
@@ -85,8 +85,8 @@ class ForAction(GuardedBehaviour, Requester, Decorator):
         """
         try:
             self.terminate(new_status)
-            if new_status is Status.INVALID or self.decorated.status is Status.RUNNING:
-                self.decorated.stop(Status.INVALID)
+            if new_status is INVALID or self.decorated.status is RUNNING:
+                self.decorated.stop(INVALID)
         except Exception as error:
             report(self, error, " (at the end)")
         finally:
@@ -104,15 +104,15 @@ class UntilSuccess(Decorator):
 
     def tick(self) -> Iterator[Behaviour]:
         yield from self.decorated.tick()
-        if self.decorated.status is Status.FAILURE:
+        if self.decorated.status is FAILURE:
             yield from self.decorated.tick()
         self.status = self.update()
-        if self.status is not Status.RUNNING:
+        if self.status is not RUNNING:
             self.stop(self.status)
         yield self
 
     def update(self) -> Status:
-        return Status.RUNNING if self.decorated.status is Status.FAILURE else self.decorated.status
+        return RUNNING if self.decorated.status is FAILURE else self.decorated.status
 
 
 class ClockFollower(Behaviour):
@@ -144,17 +144,17 @@ class Timer(Timed, py_trees.timers.Timer):
     def update(self) -> Status:
         is_over = self.is_over(self.duration)
         self.feedback_message = "" if is_over else f"takes {self.duration:g} s"
-        return Status.SUCCESS if is_over else Status.RUNNING
+        return SUCCESS if is_over else RUNNING
 
 
 class Timeout(Timed, py_trees.decorators.Timeout):
     """Stops the child, and fails, if it is RUNNING after a duration [s]."""
 
     def tick(self) -> Iterator[Behaviour]:
-        is_late = self.status is Status.RUNNING and self.is_over(self.duration)
-        if is_late and self.decorated.status is Status.RUNNING:
+        is_late = self.status is RUNNING and self.is_over(self.duration)
+        if is_late and self.decorated.status is RUNNING:
             self.feedback_message = f"{self.decorated.name} takes more than {self.duration:g} s"
-            self.stop(Status.FAILURE)
+            self.stop(FAILURE)
             yield self
         else:
             yield from super().tick()
@@ -172,14 +172,14 @@ class Delay(Timed, Decorator):
         self.duration = duration
 
     def tick(self) -> Iterator[Behaviour]:
-        if self.status is not Status.RUNNING:
+        if self.status is not RUNNING:
             self.initialise()
         if self.is_over(self.duration):
-            self.status = Status.RUNNING  # it has started
+            self.status = RUNNING  # it has started
             yield from super().tick()
         else:
             self.feedback_message = f"{self.decorated.name} begins after {self.duration:g} s"
-            self.status = Status.RUNNING
+            self.status = RUNNING
             yield self
 
     def update(self) -> Status:
@@ -202,7 +202,7 @@ class Retry(Timed, py_trees.decorators.Retry):
         py_trees.decorators.Retry.initialise(self)
 
     def tick(self) -> Iterator[Behaviour]:
-        has_failed = self.status is Status.RUNNING and self.decorated.status is Status.FAILURE
+        has_failed = self.status is RUNNING and self.decorated.status is FAILURE
         if has_failed and not self.is_over(self.pause):
             yield self
         else:
@@ -210,7 +210,7 @@ class Retry(Timed, py_trees.decorators.Retry):
 
     def update(self) -> Status:
         new_status = super().update()
-        if self.decorated.status is Status.FAILURE:
+        if self.decorated.status is FAILURE:
             self._since = self._clock()
         return new_status
 

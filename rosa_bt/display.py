@@ -19,11 +19,12 @@ from rosa_bt.behaviours import ActionBehaviour
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import in_words
+from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS
 
-_MARKS = {Status.SUCCESS: "o", Status.FAILURE: "x", Status.RUNNING: "*", Status.INVALID: "-"}
+_MARKS = {SUCCESS: "o", FAILURE: "x", RUNNING: "*", INVALID: "-"}
 _FILLS = {
-    **{Status.SUCCESS: "#d5ecd4", Status.FAILURE: "#f6d0cb"},
-    **{Status.RUNNING: "#cfe0f5", Status.INVALID: "#f2f2f2"},
+    **{SUCCESS: "#d5ecd4", FAILURE: "#f6d0cb"},
+    **{RUNNING: "#cfe0f5", INVALID: "#f2f2f2"},
 }
 _SIGNS = {
     **{SequenceNode: "->", SafeSwitch: "->", Selector: "?", DoUntilUnfeasible: "?!"},
@@ -94,31 +95,23 @@ def _rows(root: Behaviour) -> list[_Row]:
     pending = [(root, -1, "", "", False)]
     while pending:
         behaviour, parent, lead, below, is_idle = pending.pop()
-        status = (
-            Status.INVALID
-            if is_idle and behaviour.status is not Status.RUNNING
-            else behaviour.status
-        )
+        status = INVALID if is_idle and behaviour.status is not RUNNING else behaviour.status
         reason = _feasibility(behaviour)
-        is_said = reason in said
+        feasibility = reason
+        if reason in said and reason not in ("", "feasible"):
+            feasibility = "unfeasible"
         said.add(reason)
-        feasibility = "unfeasible" if is_said and reason != "feasible" and reason else reason
+        notes = [feasibility]
         feedback = _plain(behaviour.feedback_message)
-        notes = (
-            [feasibility, feedback]
-            if feedback not in said and not reason.endswith(feedback)
-            else [feasibility]
-        )
-        edge = (
-            _PLAIN if not feasibility else _FEASIBLE if feasibility == "feasible" else _UNFEASIBLE
-        )
-        title = " ".join(
-            filter(None, [f"[{_MARKS[status]}]", _kind(behaviour), _plain(behaviour.name)])
-        )
+        if feedback not in said and not reason.endswith(feedback):
+            notes.append(feedback)
+        edge = {"": _PLAIN, "feasible": _FEASIBLE}.get(feasibility, _UNFEASIBLE)
+        title = [f"[{_MARKS[status]}]", _kind(behaviour), _plain(behaviour.name)]
         for child in reversed(behaviour.children):
             step, rest = ("`-- ", "    ") if child is behaviour.children[-1] else ("|-- ", "|   ")
-            pending.append((child, len(rows), below + step, below + rest, status is Status.INVALID))
-        rows.append(_Row(parent, lead, title, status, edge, tuple(filter(None, notes))))
+            pending.append((child, len(rows), below + step, below + rest, status is INVALID))
+        row = " ".join(filter(None, title)), status, edge, tuple(filter(None, notes))
+        rows.append(_Row(parent, lead, *row))
     return rows
 
 

@@ -21,10 +21,14 @@ from kb import Status as ElementStatus
 from rosa_bt.exceptions import path_of, report
 
 _log = logging.getLogger(__name__)
+SUCCESS = Status.SUCCESS
+FAILURE = Status.FAILURE
+RUNNING = Status.RUNNING
+INVALID = Status.INVALID
 _RESULTS = {
-    Status.SUCCESS: "completed",
-    Status.FAILURE: "failed",
-    Status.INVALID: "abandoned",
+    SUCCESS: "completed",
+    FAILURE: "failed",
+    INVALID: "abandoned",
 }
 
 
@@ -50,7 +54,7 @@ class Requester(Behaviour):
         default ends at once. When `halting_timeout` has passed, the others wait no longer; the log
         says so, and so does the result of the request, with `feedback_message`.
         """
-        return Status.SUCCESS
+        return SUCCESS
 
 
 @dataclass(slots=True)
@@ -186,27 +190,27 @@ class ActionRequest:
                 objection = why(self._kb, action)
             elif blocking := self._blocking(action):
                 owner.feedback_message = blocking
-                return Status.RUNNING
+                return RUNNING
             else:
                 objection = self._open(action, owner.preference)
         elif not owner.even_if_unfeasible:
             objection = self._objection(self._action)
             if objection:
-                owner.stop(Status.INVALID)  # interrupted, not failed: the action is unfeasible
+                owner.stop(INVALID)  # interrupted, not failed: the action is unfeasible
         if objection:
             owner.feedback_message = objection
-            return Status.FAILURE
+            return FAILURE
         lacking = "" if self._is_ready else self._lacking()
         if lacking and self._kb.now - self._since >= owner.timeout:
             owner.feedback_message = f"not ready within {owner.timeout:g} s: {lacking}"
-            return Status.FAILURE
+            return FAILURE
         if lacking:
             owner.feedback_message = f"waiting: {lacking}"
-            return Status.RUNNING
+            return RUNNING
         if not self._is_ready:
             owner.feedback_message = ""
         self._is_ready = True
-        return Status.SUCCESS
+        return SUCCESS
 
     def _open(self, action: str, preference: str | None) -> str:
         """Request an action; return why it is refused. It is registered before it is requested."""
@@ -251,9 +255,9 @@ class ActionRequest:
         others = requests_of(kb).requesters.setdefault(action, {})
         others.pop(self, None)
         if not others and action in kb.actions:  # removing an action cancels its request
-            if status is Status.INVALID and not reason and not kb.is_feasible(action):
+            if status is INVALID and not reason and not kb.is_feasible(action):
                 reason = kb.why(kb.actions[action])
-            kb.cancel_action(action, _RESULTS[status], "" if status is Status.SUCCESS else reason)
+            kb.cancel_action(action, _RESULTS[status], "" if status is SUCCESS else reason)
         self._action = None
         self._is_ready = False
 
@@ -270,7 +274,7 @@ class ActionRequest:
         for requesters in requests.requesters.values():
             for request in requesters:
                 owner = request.owner
-                if not (owner.status is Status.RUNNING and needs_halting(owner)):
+                if not (owner.status is RUNNING and needs_halting(owner)):
                     continue
                 if self._displaces(request) and self._excludes(request, action):
                     return f"waiting until {owner.name} has halted"
@@ -311,7 +315,7 @@ class ActionRequest:
         """Call `halting` of the owner once; release the request if that is over, or too late."""
         owner = self.owner
         try:
-            is_over = owner.halting() is not Status.RUNNING
+            is_over = owner.halting() is not RUNNING
         except Exception as error:
             report(self.owner, error, " (while halting)")
             is_over = True
@@ -326,7 +330,7 @@ class ActionRequest:
     def end_halting(self, problem: str) -> None:
         """Release the request of an owner that halted, or that is no longer waited for."""
         reason = requests_of(self._kb).halting.pop(self, "")
-        self.close(Status.INVALID, "; ".join(filter(None, [reason, problem])))
+        self.close(INVALID, "; ".join(filter(None, [reason, problem])))
 
 
 def needs_halting(owner: Requester) -> bool:

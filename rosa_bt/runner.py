@@ -18,7 +18,15 @@ from rosa_bt.behaviours import GuardedBehaviour, KbBehaviour, RosaAction, halt
 from rosa_bt.decorators import Clock, ForAction, follow_clock
 from rosa_bt.display import svg_tree
 from rosa_bt.exceptions import ClockError, on_error, report
-from rosa_bt.requests import advance_halting, end_halting, forget_progress, requests_of
+from rosa_bt.requests import (
+    FAILURE,
+    INVALID,
+    SUCCESS,
+    advance_halting,
+    end_halting,
+    forget_progress,
+    requests_of,
+)
 
 _log = logging.getLogger(__name__)
 Handler = Callable[[BehaviourTree], None]
@@ -213,17 +221,17 @@ def _guard(behaviour: Behaviour) -> None:
             _fail(behaviour, stop, error)
             yield behaviour
 
-    def guarded_stop(new_status: Status = Status.INVALID) -> None:
+    def guarded_stop(new_status: Status = INVALID) -> None:
         try:
             stop(new_status)
         except Exception as error:
             for child in behaviour.children:
                 halt(child)
             report(behaviour, error, " (at the end)")
-            if new_status is Status.INVALID:
-                behaviour.status = Status.INVALID
+            if new_status is INVALID:
+                behaviour.status = INVALID
                 return
-            behaviour.status = Status.FAILURE
+            behaviour.status = FAILURE
             raise _EndedBadly from error
 
     vars(behaviour).update(tick=guarded_tick, stop=guarded_stop)
@@ -236,12 +244,12 @@ def _fail(behaviour: Behaviour, stop: Callable[[Status], None], error: Exception
         for child in behaviour.children:
             halt(child)
         try:
-            stop(Status.FAILURE)
+            stop(FAILURE)
         except Exception as another:
             first = behaviour.feedback_message
             report(behaviour, another, " (at the end)")
             behaviour.feedback_message = f"{first}; then {behaviour.feedback_message}"
-    behaviour.status = Status.FAILURE
+    behaviour.status = FAILURE
 
 
 class TreeRunner:
@@ -331,7 +339,7 @@ class TreeRunner:
             self.tree.advance_halting()
             return
         self.tree.tick()
-        if self.status is Status.SUCCESS:
+        if self.status is SUCCESS:
             self._forget_progress()
 
     def stop(self) -> None:

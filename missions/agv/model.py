@@ -193,10 +193,9 @@ def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
     Every call gives a new one.
 
     Estimations: `energy` is the power drawn [J/s], `safety` the expected collisions for each
-        obstacle that is passed,
-    `accuracy` the error of the position [m]. Measured are `light` [0 to 1] and `obstacles` [1/m] of
-    the corridor to cross, and the `energy` that is left [J]. Each of the actions requires the
-    function to navigate.
+    obstacle that is passed, `accuracy` the error of the position [m]. Measured are `light` [0 to 1]
+    and `obstacles` [1/m] of the corridor to cross, and the `energy` that is left [J]. Each of the
+    actions requires the function to navigate.
     """
     model = Model(name)
     energy = model.quality_attribute("energy", unit="J")
@@ -233,9 +232,8 @@ def building_model(building: Building) -> Model:
     To `switch`, which changes the configuration before it drives on, is an action too.
 
     The demands of the corridors are not in the model: they are measured. `driven` is how far the
-        robot is from where
-    it entered the corridor [m], and `way` the number of the heading to take, from 1, in the order
-    of `headings`.
+    robot is from where it entered the corridor [m], and `way` the number of the heading to take,
+    from 1, in the order of `headings`.
     """
     model = agv_model("agv", actions=())
     driven = model.environmental_attribute("driven", unit="m")

@@ -1,9 +1,7 @@
 """The task layer: the behaviour tree follows the joint plan, and replans when facts change.
 
-until arrived
-└── follow route             one child for each corridor; the one that is planned next is ticked
-    ├── cross c1 if feasible
-    └── ...
+until arrived └── follow route             one child for each corridor; the one that is planned next
+is ticked ├── cross c1 if feasible └── ...
 
 The question of the joint planner is also written as PDDL, for planners that know nothing of
 corridors. There, switching the mode and crossing are steps of their own; both cost the same as in

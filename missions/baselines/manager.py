@@ -25,9 +25,8 @@ class Robot:
     """What a manager knows of the vehicle, and how it acts on it.
 
     `activate`, `deactivate` and `set_parameters` ask a component for a change; for every manager it
-    takes as long as
-    the settings of the sea say. `is_active` and `parameters` return what is in force now: see
-        `kb.ManagedSystem`.
+    takes as long as the settings of the sea say. `is_active` and `parameters` return what is in
+    force now: see `kb.ManagedSystem`.
 
     Attributes:
         mission: the mission that is run, with its model and its tree.

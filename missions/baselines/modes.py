@@ -5,14 +5,11 @@ functions, their designs and objectives, by the rules of TOMASys, here pure func
 modes. `bt` is the behaviour tree of kas-lab/suave v1.3.0 (suave_bt) and its extended mission; the
 one tree decides about tasks and adapts the vehicle:
 
-mission (reactive)
-├── motion: all thrusters ok? -> mode fd_all_thrusters, or else mode fd_recover_thrusters
-└── work or recharge
-    ├── work (reactive)
-    │   ├── battery ok?                                        extended mission only
-    │   ├── find: found?, or else (altitude by visibility -> search)
-    │   └── mode fd_follow_pipeline -> inspect
-    └── unground search and inspection -> mode normal -> recharge -> mode inactive
+mission (reactive) ├── motion: all thrusters ok? -> mode fd_all_thrusters, or else mode
+fd_recover_thrusters └── work or recharge ├── work (reactive) │   ├── battery ok?
+extended mission only │   ├── find: found?, or else (altitude by visibility -> search) │   └── mode
+fd_follow_pipeline -> inspect └── unground search and inspection -> mode normal -> recharge -> mode
+inactive
 """
 
 from collections.abc import Mapping

@@ -1,11 +1,10 @@
 """Managers that tick our tree: ROSA as published, and ours with a lookahead.
 
 ROSA works at the pace of its services: its knowledge base is a server, every fact and every
-    question is a service call,
-and its planner and executor are programs that make one call after the other. The model here counts
-the calls before something is done. The time of one call is an input, chosen once so that the
-published reaction times come out. Calls of different programs do not delay each other, and a round
-of planning that finds nothing takes no time.
+question is a service call, and its planner and executor are programs that make one call after the
+other. The model here counts the calls before something is done. The time of one call is an input,
+chosen once so that the published reaction times come out. Calls of different programs do not delay
+each other, and a round of planning that finds nothing takes no time.
 """
 
 from collections import deque

@@ -355,7 +355,7 @@ class Rig(VisitorBase):
         return self.kb.model.attributes[attribute].kind is AttributeKind.QUALITY
 
     def is_kept(self, name: str) -> bool:
-        """Return whether only the robot changes it: it is a component, or a quality without a rate."""
+        """Return whether only the robot changes it: a component, or a quality without a rate."""
         if name in self.kb.components:
             return True
         rates = self.kb.model.attributes[name].rates

@@ -2,10 +2,8 @@
 
 And the actions of the tree and of plans.
 
-until inspected
-└── search and inspect
-    ├── find: pipeline found?, or else search if feasible
-    └── inspect if feasible
+until inspected └── search and inspect ├── find: pipeline found?, or else search if feasible └──
+inspect if feasible
 
 Each action says when it is finished; the nodes that it needs move the vehicle.
 """

@@ -1,9 +1,7 @@
 """The extended mission as a behaviour tree: search and inspect while feasible, else recharge.
 
-until inspected
-└── mission
-    ├── search and inspect       fails as soon as the battery makes it unfeasible
-    └── meanwhile: recharge if feasible
+until inspected └── mission ├── search and inspect       fails as soon as the battery makes it
+unfeasible └── meanwhile: recharge if feasible
 """
 
 from py_trees.behaviour import Behaviour

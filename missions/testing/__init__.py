@@ -1,7 +1,7 @@
 """Tests of adaptive missions: replays with assertions, scripted robots and leaves, golden traces.
 
 With pytest, the plugin `rosa` offers these as fixtures: `fake_clock`, `managed`, `replay` and
-    `golden_trace`.
+`golden_trace`.
 """
 
 from importlib import import_module

@@ -51,8 +51,7 @@ def mock_leaf(root: Behaviour, name: str, outcomes: str | Sequence[Status]) -> L
     """Let a leaf of a tree return the outcomes of a script instead of working.
 
     Only its own work is replaced: a `RosaAction` still requests its action and releases it, so that
-        the robot is
-    configured for it. This works for trees read from XML, too.
+    the robot is configured for it. This works for trees read from XML, too.
 
     Args:
         root: of the tree, or of the subtree in which to look.

@@ -1,13 +1,9 @@
 """The actions and the behaviour tree: find samples and analyse them, as feasible.
 
-until all are analysed
-└── one after another
-    ├── one sample
-    │   ├── find and analyse      fails as soon as the battery makes it unfeasible
-    │   │   ├── find: a sample waiting?, or else search if feasible
-    │   │   └── analyse: pick up if feasible, or else on site if feasible
-    │   └── meanwhile: return and recharge
-    └── all analysed?
+until all are analysed └── one after another ├── one sample │   ├── find and analyse      fails as
+soon as the battery makes it unfeasible │   │   ├── find: a sample waiting?, or else search if
+feasible │   │   └── analyse: pick up if feasible, or else on site if feasible │   └── meanwhile:
+return and recharge └── all analysed?
 
 After a pick-up, it lands and folds the gripper before it analyses on site, whatever happened in
 between.

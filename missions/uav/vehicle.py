@@ -1,9 +1,8 @@
 """The quadrotor, simulated by MuJoCo, its controller, and the constants with sources.
 
 The controller is the usual cascade: position error to velocity, velocity error to acceleration, its
-    direction to the
-tilt of the mast, tilt error to body rates, rate error to torques; the mixer turns torques into
-thrusts.
+direction to the tilt of the mast, tilt error to body rates, rate error to torques; the mixer turns
+torques into thrusts.
 """
 
 import logging
@@ -187,7 +186,7 @@ def mixed(thrust: float, torques: Vector, limit: float) -> list[float]:
     """Return each rotor's thrust (4,) [N] for a whole thrust [N] and torques [N m], body frame.
 
     If a rotor cannot give its thrust, lift is reduced before tilt: a vehicle that stays upright can
-        fly on.
+    fly on.
     """
     x = torques[0] / _ARMS_M
     y = torques[1] / _ARMS_M

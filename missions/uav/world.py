@@ -1,8 +1,7 @@
 """The field in which samples lie, and the components of the vehicle that flies over it.
 
 Each component acts 10 times a second while it is active. When a component that moves the vehicle
-stops, the vehicle
-hovers where it is: the safe state between two actions.
+stops, the vehicle hovers where it is: the safe state between two actions.
 """
 
 from collections.abc import Callable, Mapping

@@ -1,8 +1,8 @@
 """Breakpoints: conditions on what a page shows, at which a run or a replay stops.
 
-inspect_pipeline unfeasible      an element has a status
-battery_level < 0.25             a measurement crosses a value
-"follow pipeline" success        a behaviour of the tree ends its tick with a status
+inspect_pipeline unfeasible      an element has a status battery_level < 0.25             a
+measurement crosses a value "follow pipeline" success        a behaviour of the tree ends its tick
+with a status
 """
 
 import operator

@@ -1,7 +1,7 @@
 """Shows a plan to people: its steps with what they need, and a picture of their causal order.
 
 The picture goes from top to bottom, to the goal: a step that waits for another is in a layer below
-    it.
+it.
 """
 
 from collections import defaultdict

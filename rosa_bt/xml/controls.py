@@ -10,20 +10,18 @@ from typing import Any, ClassVar
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
+from rosa_bt.behaviours import Ticking
+from rosa_bt.requests import FAILURE, RUNNING, SUCCESS
 from rosa_bt.xml.blackboard import PortError, Ports
 from rosa_bt.xml.nodes import (
     DONE,
-    FAILURE,
     MAX_NODES,
     ROUNDING_S,
-    RUNNING,
     SKIPPED,
-    SUCCESS,
     Control,
     NodeError,
     OneChild,
     Slot,
-    Ticking,
     port,
 )
 from rosa_bt.xml.scripts import parse_script
@@ -298,7 +296,7 @@ class TryCatch(Control, catch_on_halt=port(bool, False)):
         verdict = yield from last.tick()
         return RUNNING if verdict is RUNNING else self.end(FAILURE)
 
-    def stop(self, new_status: Status = Status.INVALID) -> None:
+    def stop(self, new_status: Status = SKIPPED) -> None:
         last = self.slots[-1]
         if self.ports.get("catch_on_halt") and self._place < len(self.slots) - 1:
             self.reset_children(last)

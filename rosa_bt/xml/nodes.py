@@ -6,7 +6,7 @@ finished until its parent resets it, a skipped node is idle, and only a RUNNING 
 SKIPPED and IDLE are INVALID here, since py_trees has no other status for them.
 """
 
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -16,23 +16,18 @@ from py_trees.composites import Composite
 from py_trees.decorators import Decorator
 from py_trees.ports import PortInformation
 
-from rosa_bt.behaviours import RosaAction
+from rosa_bt.behaviours import RosaAction, Ticking
 from rosa_bt.exceptions import RosaBtError
+from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS
 from rosa_bt.xml.blackboard import Blackboard, Declared, Entry, Ports
 from rosa_bt.xml.scripts import parse_script
 from rosa_bt.xml.values import EMPTY, as_text, truth
 
-SUCCESS = Status.SUCCESS
-FAILURE = Status.FAILURE
-RUNNING = Status.RUNNING
-SKIPPED = Status.INVALID
+SKIPPED = INVALID
 DONE = (SUCCESS, FAILURE)
 MAX_NODES = 10_000
 """Most nodes in one tree with all its subtrees, and so also most children of a node."""
 ROUNDING_S = 1e-9
-
-Ticking = Generator[Behaviour, None, Status]
-"""Yields the nodes that are visited, as `tick` of py_trees does, and returns the outcome."""
 
 
 class NodeError(RosaBtError, RuntimeError):
@@ -85,7 +80,7 @@ class Slot:
     source: tuple[str, Mapping[str, str]] | None = None
     """Tag and attributes of its element; None for a behaviour that was inserted later."""
     rules: Rules | None = None
-    status: Status = field(default=Status.INVALID, init=False)
+    status: Status = field(default=INVALID, init=False)
     """Kept until the parent resets it; INVALID means idle."""
 
     def tick(self) -> Ticking:
@@ -118,7 +113,7 @@ class Slot:
         """Make the child idle; halt it if it is RUNNING."""
         if self.status is RUNNING:
             if self.node.status is RUNNING or isinstance(self.node, XmlNode):
-                self.node.stop(Status.INVALID)
+                self.node.stop(INVALID)
             if self.rules:
                 self.rules.follow("_onHalted")
         self.status = SKIPPED
@@ -129,7 +124,7 @@ class Slot:
         Until the next tick, pictures show the last outcome.
         """
         if self.status is SKIPPED and self.node.status in DONE:
-            self.node.status = Status.INVALID
+            self.node.status = INVALID
 
 
 def port(data_type: Any, default: object = None, *, required: bool = True) -> PortInformation:  # noqa: ANN401  # a type
@@ -212,7 +207,7 @@ class XmlNode(Named, is_node=False):
     def update(self) -> Status:
         return self.status
 
-    def stop(self, new_status: Status = Status.INVALID) -> None:
+    def stop(self, new_status: Status = INVALID) -> None:
         """Halt: stop the children that are RUNNING, and forget the state of the node."""
         self.status = self.end(new_status)
         self.iterator = self.tick()
@@ -270,14 +265,14 @@ class AlwaysSuccess(Named):
     """Returns SUCCESS."""
 
     def update(self) -> Status:
-        return Status.SUCCESS
+        return SUCCESS
 
 
 class AlwaysFailure(Named):
     """Returns FAILURE."""
 
     def update(self) -> Status:
-        return Status.FAILURE
+        return FAILURE
 
 
 class Script(Named, code=port(str)):
@@ -290,14 +285,14 @@ class Script(Named, code=port(str)):
 
     def update(self) -> Status:
         self.script(self.ports.blackboard)
-        return Status.SUCCESS
+        return SUCCESS
 
 
 class ScriptCondition(Script):
     """SUCCESS if the script is true, FAILURE if it is false."""
 
     def update(self) -> Status:
-        return Status.SUCCESS if truth(self.script(self.ports.blackboard)) else Status.FAILURE
+        return SUCCESS if truth(self.script(self.ports.blackboard)) else FAILURE
 
 
 class SetBlackboard(Named, value=port(object), output_key=port(object)):
@@ -318,7 +313,7 @@ class SetBlackboard(Named, value=port(object), output_key=port(object)):
         entry = board.entry(key)
         if value is EMPTY:
             board.make(key)
-            return Status.FAILURE
+            return FAILURE
         if entry is None:
             board.make(key, source.declared).put(value)
         elif isinstance(value, str) and (entry.declared is not None or entry.takes_any):
@@ -334,7 +329,7 @@ class SetBlackboard(Named, value=port(object), output_key=port(object)):
             entry.put(value)
         else:
             raise NodeError(f"{key!r} is {entry.declared}, so {value!r} cannot be copied there")
-        return Status.SUCCESS
+        return SUCCESS
 
 
 class UnsetBlackboard(Named, key=port(str)):
@@ -342,14 +337,14 @@ class UnsetBlackboard(Named, key=port(str)):
 
     def update(self) -> Status:
         self.ports.blackboard.unset(self.ports.get("key"))
-        return Status.SUCCESS
+        return SUCCESS
 
 
 class WasEntryUpdated(Named, entry=port(object)):
     """SUCCESS if an entry was written since the last tick of this leaf, else FAILURE."""
 
     def update(self) -> Status:
-        return Status.SUCCESS if self.ports.is_updated("entry") else Status.FAILURE
+        return SUCCESS if self.ports.is_updated("entry") else FAILURE
 
 
 class Sleep(Named, msec=port(int)):
@@ -361,4 +356,4 @@ class Sleep(Named, msec=port(int)):
     def update(self) -> Status:
         elapsed = self.ports.blackboard.clock() - self._since
         is_over = elapsed >= self.ports.get("msec") / 1000 - ROUNDING_S
-        return Status.SUCCESS if is_over else Status.RUNNING
+        return SUCCESS if is_over else RUNNING

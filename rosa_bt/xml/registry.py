@@ -110,11 +110,14 @@ class Entry:
         for port, key in ports.keys.items():
             if declared[port].data_type in (Any, object):
                 board.make(key).takes_any = True
-        for key in keys.keys() - declared.keys() - vars(behaviour).keys():
-            kind = type(behaviour).__name__
-            text = f"{key}={keys.pop(key)!r} is not read"
-            note(f"{text}: {kind} keeps no attribute {key!r}; declare a port")
-        _read_at_start(behaviour, Ports(self.arguments, keys, board), declared)
+        attributes = vars(behaviour)
+        for key, text in keys.items():
+            if key not in declared and key not in attributes:
+                problem = f"{type(behaviour).__name__} keeps no attribute {key!r}; declare a port"
+                note(f"{key}={text!r} is not read: {problem}")
+        at_start = {key: text for key, text in keys.items() if key in attributes}
+        if at_start:
+            _read_at_start(behaviour, Ports(self.arguments, at_start, board))
         if isinstance(behaviour, ActionBehaviour):
             _check_action(behaviour, ports)
         if isinstance(behaviour, PortsMixin):
@@ -128,34 +131,27 @@ class Entry:
         keys = dict[str, str]()
         for name, argument in self.arguments.items():
             text = written.get(name)
-            if text is None:
-                if argument.required:
-                    advice = f"write {name}=... in the element, or hand it to BehaviourRegistry"
-                    raise PortError(f"{name!r} is missing; {advice}")
-            elif key_of(text, name) is None:
-                literals[name] = text
-            elif argument.required:
-                advice = "declare it in INPUT_PORTS, and let the constructor do without it"
-                raise PortError(
-                    f"{name!r} is needed when the tree is made, and {text} is known later; {advice}"
-                )
-            else:
-                keys[name] = text
+            is_literal = text is not None and key_of(text, name) is None
+            if argument.required and not is_literal:
+                advice = f"write {name}=... with a value, hand it to BehaviourRegistry"
+                problem = f"{name!r} is needed when the tree is made"
+                raise PortError(f"{problem}; {advice}, or declare a port in INPUT_PORTS")
+            if text is not None:
+                (literals if is_literal else keys)[name] = text
         return literals, keys
 
 
-def _read_at_start(behaviour: Behaviour, ports: Ports, declared: Declared) -> None:
+def _read_at_start(behaviour: Behaviour, ports: Ports) -> None:
     """Let a behaviour read its attributes that are keys before each `initialise`."""
     initialise = behaviour.initialise
-    names = ports.keys.keys() - declared.keys()
 
     def read_and_initialise() -> None:
-        values = {name: ports.get(name) for name in names if ports.exists(name)}
-        vars(behaviour).update(values)
+        for name in ports.keys:
+            if ports.exists(name):
+                vars(behaviour)[name] = ports.get(name)
         initialise()
 
-    if names:
-        vars(behaviour)["initialise"] = read_and_initialise
+    vars(behaviour)["initialise"] = read_and_initialise
 
 
 def _check_action(leaf: ActionBehaviour, ports: Ports) -> None:

@@ -4,8 +4,7 @@
 any.
 """
 
-import inspect
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Container, Mapping
 from math import inf
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -23,7 +22,7 @@ from rosa_bt.xml.blackboard import ports_of
 from rosa_bt.xml.document import Document, wrong_id
 from rosa_bt.xml.nodes import Branch, Slot, XmlNode, is_plain
 from rosa_bt.xml.reader import SubTree
-from rosa_bt.xml.registry import BUILT_IN, BehaviourRegistry
+from rosa_bt.xml.registry import BUILT_IN, BehaviourRegistry, Entry
 
 _TAGS: Mapping[type[Behaviour], str] = {
     Inverter: "Inverter",
@@ -39,6 +38,8 @@ _TAGS: Mapping[type[Behaviour], str] = {
 }
 """The tags of behaviours that mean exactly the same; before those of composites without memory,
 `Reactive`."""
+Source = tuple[str, dict[str, str]]
+"""The tag and the attributes of an element."""
 _DURATIONS = {Timer: "msec", Timeout: "msec", Delay: "delay_msec"}
 _ARGUMENTS = (
     *("action", "preference", "wait", "timeout", "even_if_unfeasible", "exclusive"),
@@ -46,7 +47,6 @@ _ARGUMENTS = (
 )
 """Parameters of our behaviours that are attributes, of the element as of the behaviour."""
 _DEFAULTS = (None, False, inf, RosaAction.halting_timeout)
-_MAIN = "MainTree"
 
 
 def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None) -> str:
@@ -68,7 +68,7 @@ def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None) 
         ExportError: a behaviour has no exact counterpart; the message names it.
     """
     writer = _Exporter(registry)
-    main = writer.tree(behaviour if isinstance(behaviour, SubTree) else None, slot_of(behaviour))
+    main = writer.tree(behaviour)
     root = Element("root", BTCPP_format="4", main_tree_to_execute=main)
     for name, content in sorted(writer.trees.items(), key=lambda tree: tree[0] != main):
         SubElement(root, "BehaviorTree", ID=name).append(content)
@@ -91,6 +91,13 @@ def slot_of(behaviour: Behaviour) -> Slot:
         if slot.node is behaviour:
             return slot
     return Slot(behaviour)
+
+
+def _content(root: Behaviour) -> tuple[str, Slot]:
+    """Return the ID of a tree, and the slot of its first node."""
+    if isinstance(root, SubTree):
+        return root.tree, root.child
+    return "MainTree", slot_of(root)
 
 
 def _free_name(name: str, taken: Container[str]) -> str:
@@ -138,7 +145,7 @@ class _Writer:
         element = Element(tag, dict(attributes))
         self.take(node, element)
         if isinstance(node, SubTree):
-            element.set("ID", self.tree(node, node.child))
+            element.set("ID", self.tree(node))
         elif isinstance(node, XmlNode):
             element.extend([self.element(child) for child in node.slots])
         else:
@@ -147,14 +154,14 @@ class _Writer:
                     element.append(self.element(slot_of(child)))
         return element
 
-    def source(self, node: Behaviour) -> tuple[str, dict[str, str]]:
+    def source(self, node: Behaviour) -> Source:
         """Return tag and attributes of a behaviour that is not from a file."""
         raise NotImplementedError
 
     def take(self, node: Behaviour, element: Element) -> None:
         """Note an element that was made."""
 
-    def tree(self, subtree: SubTree | None, slot: Slot) -> str:
+    def tree(self, root: Behaviour) -> str:
         """Write a tree; return its ID."""
         raise NotImplementedError
 
@@ -165,19 +172,19 @@ class _Exporter(_Writer):
         self.trees: dict[str, Element] = {}
         self.models: dict[str, Element] = {}
 
-    def tree(self, subtree: SubTree | None, slot: Slot) -> str:
+    def tree(self, root: Behaviour) -> str:
         """Write a tree; return its ID, a new one if another tree has its own."""
-        if subtree is not None:
-            self.models.update(subtree.models)
-            slot = subtree.child
+        if isinstance(root, SubTree):
+            self.models.update(root.models)
+        name, slot = _content(root)
         content = self.element(slot)
         text = tostring(content)
         others = [name for name, tree in self.trees.items() if tostring(tree) != text]
-        name = _free_name(_MAIN if subtree is None else subtree.tree, others)
+        name = _free_name(name, others)
         self.trees.setdefault(name, content)
         return name
 
-    def source(self, node: Behaviour) -> tuple[str, dict[str, str]]:
+    def source(self, node: Behaviour) -> Source:
         kind = type(node)
         if kind in _TAGS and (node.children or not isinstance(node, Composite)):
             tag = _tag(node)
@@ -195,41 +202,29 @@ class _Exporter(_Writer):
             tag, attributes = self._leaf(node)
         return tag, {"name": node.name, **attributes}
 
-    def _leaf(self, leaf: Behaviour) -> tuple[str, dict[str, str]]:
+    def _leaf(self, leaf: Behaviour) -> Source:
         kind = type(leaf)
-        tag: str | None = kind.__name__
-        maker: object = kind
-        bound: Iterable[str] = ("kb",)
-        if self._registry is not None:
-            tag = self._registry.name_of(leaf)
-            maker = self._registry.entries[tag].factory if tag else None
-            bound = self._registry.bound
+        registry = self._registry
+        what = f"{kind.__name__} {leaf.name!r}"
+        tag = registry.name_of(leaf) if registry else kind.__name__
         if tag is None:
-            raise ExportError(
-                f"{kind.__name__} {leaf.name!r} is not registered; register its class"
-            )
-        if wrong := wrong_id(tag):
-            raise ExportError(f"{leaf.name!r} is registered under a name that is refused: {wrong}")
-        if tag in BUILT_IN:
-            raise ExportError(
-                f"{tag!r} is a node of BehaviorTree.CPP itself; register another name"
-            )
-        parameters = inspect.signature(maker).parameters  # type: ignore[arg-type]  # it is callable
-        names = {*parameters, *ports_of(leaf)[0]}
+            raise ExportError(f"{what} is not registered; register its class")
+        if tag in BUILT_IN or wrong_id(tag):
+            problem = wrong_id(tag) or f"{tag!r} is a node of BehaviorTree.CPP itself"
+            raise ExportError(f"{what} is registered under a name that is refused: {problem}")
+        entry = registry.entries[tag] if registry else Entry(kind, None, {"kb": None})
+        names = {*entry.arguments, *ports_of(leaf)[0]}
         attributes = {}
         if isinstance(leaf, ActionBehaviour):
             if leaf.named_action is None:
-                raise ExportError(f"{leaf.name!r} names no action; make it with one")
+                raise ExportError(f"{what} names no action; make it with one")
             attributes = _attributes(leaf, names)
             names -= {name for name in _ARGUMENTS if hasattr(leaf, name)}
-        various = {name for name, parameter in parameters.items() if parameter.kind in (2, 4)}
-        unknown = names - various - {"name", "behaviour_class_name", *bound}
-        if maker is kind and unknown:
-            made_with = ", ".join(sorted(unknown))
+        if entry.factory is kind and names:
+            advice = "register a function under the name of the leaf that makes it"
+            made_with = ", ".join(sorted(names))
             raise ExportError(
-                f"{kind.__name__} {leaf.name!r} was made with {made_with}, which cannot be written;"
-                " register a function under the name of the leaf that makes it, and hand the "
-                "registry to export_xml"
+                f"{what} was made with {made_with}, which cannot be written; {advice}"
             )
         return tag, attributes
 
@@ -256,10 +251,9 @@ class NumberedTree(_Writer):
         self.subtrees: dict[str, SubTree | None] = {}
         self._kinds: dict[str, str] = {}
         self._path = ""
-        subtree = root if isinstance(root, SubTree) else None
-        main = _MAIN if subtree is None else subtree.tree
+        main, _ = _content(root)
         self._whole = Element("root", BTCPP_format="4", main_tree_to_execute=main)
-        self.tree(subtree, slot_of(root) if subtree is None else subtree.child)
+        self.tree(root)
         models = SubElement(self._whole, "TreeNodesModel")
         for tag, kind in sorted(self._kinds.items()):
             SubElement(models, kind, ID=tag)
@@ -270,18 +264,19 @@ class NumberedTree(_Writer):
         same = all(node.children == children for node, children in self._children)
         return root is self._root and same
 
-    def tree(self, subtree: SubTree | None, slot: Slot) -> str:
-        name = _MAIN if subtree is None else subtree.tree
+    def tree(self, root: Behaviour) -> str:
+        name, slot = _content(root)
         around = self._path
-        if subtree is not None and self.numbers:  # it is not the root
-            self._path = f"{around}/{subtree.name}".lstrip("/")
-        self.subtrees[_free_name(self._path or name, self.subtrees)] = subtree
+        if self.numbers:  # it is not the main tree
+            self._path = f"{around}/{root.name}".lstrip("/")
+        place = _free_name(self._path or name, self.subtrees)
+        self.subtrees[place] = root if isinstance(root, SubTree) else None
         element = SubElement(self._whole, "BehaviorTree", ID=name, _fullpath=self._path)
         element.append(self.element(slot))
         self._path = around
         return name
 
-    def source(self, node: Behaviour) -> tuple[str, dict[str, str]]:
+    def source(self, node: Behaviour) -> Source:
         is_ours = type(node) in _TAGS
         if isinstance(node, ActionBehaviour):
             is_ours = node.named_action is not None

@@ -2,8 +2,8 @@
 
 20 required functions with 5 designs of 1 to 3 components each, 30 components that the designs
 share, with 3 configurations each. Every design, component and configuration is estimated to affect
-three attributes, in steps of
-0.01, which are weighed against one another. Components and configurations use power too.
+three attributes, in steps of 0.01, which are weighed against one another. Components and
+configurations use power too.
 """
 
 from random import Random

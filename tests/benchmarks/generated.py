@@ -6,12 +6,10 @@ place touches as many elements in a small robot as in a large one, and only what
 costs can differ.
 
 Per subsystem: 2 actions (3 functions each), 4 functions (2 designs each), 8 designs (2 or 3
-    components each, so that
-a component is in 1 to 4 of them), 8 components (every second one with 2 configurations), 8
-configurations, 4 attributes
-and 16 constraints: 4 for each attribute, each on 1 to 3 actions, designs, components or
-    configurations. So the number
-of attributes grows with the robot, and each of them constrains 6 to 10 elements at every size.
+components each, so that a component is in 1 to 4 of them), 8 components (every second one with 2
+configurations), 8 configurations, 4 attributes and 16 constraints: 4 for each attribute, each on 1
+to 3 actions, designs, components or configurations. So the number of attributes grows with the
+robot, and each of them constrains 6 to 10 elements at every size.
 """
 
 from collections.abc import Iterator

@@ -53,9 +53,7 @@ def test_replans_reach_exactly_what_can_be_reached():
         reached = reached + can
         seed = seed + 1
     gc.collect()
-    print(
-        f"\n{plans} replans in {episodes} episodes; the goal in reach in {reached} and reached, else never said to be"
-    )
+    print(f"\n{plans} replans in {episodes} episodes; the goal in reach in {reached} and reached")
     assert 0 < reached < episodes
     assert (threading.active_count(), open_files()) == before
 
@@ -82,7 +80,8 @@ def test_a_thousand_worlds_that_grow_end_where_brute_force_says():
     ended = [whole_worlds.episode(default_rng(seed), planner) for seed in range(1000)]
     missed = [seed for seed, (reached, could, _) in enumerate(ended) if reached != could]
     print(
-        f"\n{sum(one[0] for one in ended)} of 1000 goals reached, {sum(one[2] for one in ended)} with steps at once"
+        f"\n{sum(run[0] for run in ended)} of 1000 goals reached, "
+        f"{sum(run[2] for run in ended)} with steps at once"
     )
     assert missed == []
 

@@ -78,13 +78,14 @@ def outcome(state, designs, configurations, weights, cost=0.0):
 
 
 def best_by_trying(state, weights, cost=0.0):
-    """Return value, designs and configurations of the best choice."""
-    best = None
-    for rank, designs, configurations in every_choice(state):
+    """Return the best value, and all choices of it whose parts have the lowest sum of ranks."""
+    best = {}
+    for ranks, designs, configurations in every_choice(state):
         worth = outcome(state, designs, configurations, weights, cost)
-        if best is None or (-worth, rank) < best[0]:
-            best = (-worth, rank), designs, configurations
-    return -best[0][0], names(best[1]), names(best[2])
+        key = -worth, sum(map(sum, ranks))
+        best.setdefault(key, []).append((names(designs), names(configurations)))
+    worth, rank = min(best)
+    return -worth, best[worth, rank]
 
 
 def names(chosen):

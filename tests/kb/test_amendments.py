@@ -8,6 +8,7 @@ import weakref
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from interrupting import interrupted_at
 from kept import answers
 from models import (
     NUMBERS,
@@ -136,6 +137,19 @@ def test_amended_base_answers_as_its_twin_and_its_replay(model, data):
     clock.now = twins.clock.now
     assert again.model == model
     assert answers(again) == answers(twins.kb)
+
+
+@pytest.mark.parametrize("place", range(1, 640, 9))
+def test_interrupted_amendment_is_in_or_out(kb, place):
+    kb.measure("light", 0.05)
+    bright = kb.model.attributes["light"] >= 0.2
+    interrupted_at(place, lambda: kb.model.action("film", constraints=[bright]))
+    _ = kb.revision  # completes what was interrupted
+    is_in = "film" in kb.model.actions
+    assert [event.verb for event in kb.log] == ["measure", *["amend"] * is_in]
+    assert {name: view.status for name, view in kb.actions.items()} == dict.fromkeys(
+        kb.model.actions, "unfeasible"
+    )
 
 
 def test_an_action_removed_while_it_is_required_is_abandoned(kb):

@@ -1,4 +1,4 @@
-"""No fault of a managed system, and no interrupt, makes the manager lie, stall or end a plan twice."""
+"""No fault and no interrupt makes the manager lie, stall or end a plan twice."""
 
 from collections import Counter
 from itertools import count

@@ -1,4 +1,4 @@
-"""A real browser for tests of the page: headless Chromium, of which every request and word on the console is noted."""
+"""A real browser for tests of the page: headless Chromium, with its requests and console."""
 
 import shutil
 from contextlib import contextmanager
@@ -30,7 +30,9 @@ class Visit:
     """A page that is open, with what it asked of the network and said on the console."""
 
     def __init__(self, page):
-        self.page, self.requests, self.said = page, [], []
+        self.page = page
+        self.requests = []
+        self.said = []
         page.on("request", lambda request: self.requests.append(request.url))
         page.on("websocket", lambda socket: self.requests.append(socket.url))
         page.on("console", lambda message: self.said.append(message.text))

@@ -1,4 +1,7 @@
-"""Draws the pictures of the docs: `make pictures`, with a Chromium on this machine; same sources, same bytes."""
+"""Draws the pictures of the docs: `make pictures`, with a Chromium on this machine.
+
+Same sources, same bytes.
+"""
 
 import sys
 from pathlib import Path
@@ -45,7 +48,8 @@ def main() -> None:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(QUIET))
         for picture in PICTURES:
-            report, target = DOCS / f"{picture.name}.html", DOCS / f"{picture.name}.png"
+            report = DOCS / f"{picture.name}.html"
+            target = DOCS / f"{picture.name}.png"
             write_report(report, recorded(picture.mission, picture.task))
             width, height = picture.size
             page = browser.new_page(

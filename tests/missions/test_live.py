@@ -1,4 +1,4 @@
-"""The live page's server: who may look, what each page gets, and that nobody can hold up the robot."""
+"""The live page's server: who may look, what pages get, and that no page delays the robot."""
 
 import asyncio
 import json
@@ -43,7 +43,7 @@ def status_of(url, **headers):
 
 
 def talk(view, *said, until, **options):
-    """Say things to a view by its socket and return what it answers, up to the first message of which `until` holds."""
+    """Send messages to a view and return its answers, up to the first for which `until` holds."""
 
     async def conversation():
         heard = []

@@ -1,4 +1,4 @@
-"""Models, knowledge bases, trees, plans and explanations show themselves in a notebook, whatever their names are."""
+"""Models, bases, trees, plans and explanations show themselves in a notebook."""
 
 from xml.etree import ElementTree
 

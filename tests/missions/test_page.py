@@ -1,4 +1,4 @@
-"""What a page is made of: rows that say all there is to see, the chain of each adaptation, one file with it all."""
+"""The rows of a page, the chain of each adaptation, and the file that holds them."""
 
 import html
 import math

@@ -1,4 +1,4 @@
-"""The page of reports and live views is what its sources say: the built files carry the hash of what made them."""
+"""The built page is that of its sources: it carries their hash."""
 
 import json
 import re
@@ -92,7 +92,8 @@ def test_page_that_is_open_for_days_lets_go_of_what_is_old_but_not_of_what_holds
         run.add([[0, "action", 1, {{ end: null }}], [1, "adaptation", 1, {{ t: 1 }}]]);
         for (let i = 0; i < 1_000_000; i += 1) run.add([[i / 10, "value", 0, i]]);
         const held = ["status", "value"].map((track) => run.of(track, 0).at(run.start));
-        const kept = [run.of("value", 0).times.length, run.last("adaptation").length, run.keys("action")];
+        const count = run.of("value", 0).times.length;
+const kept = [count, run.last("adaptation").length, run.keys("action")];
         console.log(JSON.stringify([...kept, held]));
     """
     done = subprocess.run(

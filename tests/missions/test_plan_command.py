@@ -37,7 +37,9 @@ def rosa(capsys, monkeypatch, tmp_path):
 
 def plans_of(domain):
     """Return the plan for each set of feasible actions; None where there is none."""
-    planner, actions, plans = Planner(), domain.rosa_actions, {}
+    planner = Planner()
+    actions = domain.rosa_actions
+    plans = {}
     sizes = range(len(actions) + 1)
     for feasible in chain.from_iterable(combinations(actions, size) for size in sizes):
         state = initial_state(domain) | {domain.feasible_atom(action) for action in feasible}

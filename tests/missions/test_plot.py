@@ -206,7 +206,10 @@ def test_nothing_that_is_written_is_cut_off_at_the_edges(name, task):
 @pytest.mark.parametrize("count", [4, 12])
 def test_long_names_and_reasons_stay_within_the_picture(count):
     run = short_run("uav")
-    long = "pick_up_and_analyse is unfeasible because battery_level 0.549 violates >= 0.55 (measured 0.0 s ago)"
+    long = (
+        "pick_up_and_analyse is unfeasible because battery_level 0.549 violates >= 0.55 "
+        "(measured 0.0 s ago)"
+    )
     change = (
         "plan anew, with search_for_samples(sample_8, drone), pick_up_and_analyse(sample_8, drone)"
     )

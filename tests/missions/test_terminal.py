@@ -24,7 +24,7 @@ def recorder():
 
 
 def shown(recorder):
-    """Return what the panes show at the end of the run, the line at the top, and how wide that is."""
+    """Return what the panes show at the end of the run, and the line at the top."""
 
     async def look():
         app = TerminalView(recorder)

@@ -278,7 +278,7 @@ def test_leaves_of_ours_can_be_written():
         ('<Add one="x"/>', "the port 'one' takes a value of type float, not 'x'"),
         ('<Add one="1" twoo="1"/>', "it has no port 'twoo'; ports: one, other, total"),
         ('<Say what="1" loud="maybe"/>', "the port 'loud' takes a value of type bool, not 'maybe'"),
-        ('<water plants="4"/>', "'action' is missing; write action=..."),
+        ('<water plants="4"/>', "'action' is needed when the tree is made; write action=..."),
         ('<water action="{a}"/>', "'action' is needed when the tree is made"),
         ('<water action="scann"/>', "did you mean 'scan'"),
         ('<water action="scan" plant="4"/>', "no port 'plant'; did you mean 'plants'?"),
@@ -286,7 +286,10 @@ def test_leaves_of_ours_can_be_written():
         ("<IsActionFeasible/>", "'action' is missing; write action=..."),
         ('<HasStatus element="scan" status="tired"/>', "never 'tired'"),
         ('<Measurement attribute="light" operator="=>" value="1"/>', "'=>' is not an operator"),
-        ('<Measurement attribute="light" value="1"/>', "'operator' is missing; write operator=..."),
+        (
+            '<Measurement attribute="light" value="1"/>',
+            "'operator' is needed when the tree is made",
+        ),
         ('<fixed action="drive"/>', "leave action=... out"),
     ],
 )

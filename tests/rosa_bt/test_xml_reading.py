@@ -36,7 +36,8 @@ REFUSED = {
     "<Other/>": '<Other> is a tree; write <SubTree ID="Other"/>',
     "<SubTreePlus ID='Other'/>": '<SubTreePlus> is of version 3; write BTCPP_format="3"',
     "<a/><b/>": "a tree has one child, not 2; put a Sequence around",
-    "<Inverter><a/><b/></Inverter>": "children of <Inverter>: 2; it takes 1; put a Sequence around them",
+    "<Inverter><a/><b/></Inverter>": "children of <Inverter>: 2; it takes 1; "
+    "put a Sequence around them",
     "<Sequence/>": "children of <Sequence>: 0; it takes at least 1",
     "<IfThenElse><a/></IfThenElse>": "children of <IfThenElse>: 1; it takes 2 to 3",
     "<a><b/></a>": "children of <a>: 1; it takes 0",
