@@ -488,7 +488,8 @@ class State:
         chosen = [statuses[part] for part in node.requires if part in self.selected]
         if node.kind == "function":
             return function_status(parts, chosen, is_required)
-        is_failed, is_active = node in self.failed, node in self.active
+        is_failed = node in self.failed
+        is_active = node in self.active
         return component_status(is_failed, constraints, parts, chosen, is_required, is_active)
 
     def compare(self, node: Node) -> Status:
