@@ -151,12 +151,14 @@ class SuaveEnv:
     @property
     def metrics(self) -> Metrics:
         """The metrics of the run up to now."""
-        found = self._search_time
+        search_time = self._search_time
         return Metrics(
-            search_time_s=None if found is None else max(0, math.floor(found - self._guided)),
+            search_time_s=None
+            if search_time is None
+            else max(0, math.floor(search_time - self._guided)),
             distance_inspected_m=self._follower.distance_m,
             total_inspected_m=self._follower.total_m,
-            found_s=found,
+            found_s=search_time,
             violation_s=self._violations.seconds(self.now),
             uncorrected=self._violations.uncorrected,
             switches=len(self.components.history),

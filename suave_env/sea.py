@@ -15,7 +15,9 @@ def expected_altitude(visibility: float) -> float:
 
     From kas-lab/suave v1.3.0.
     """
-    return 3.0 if visibility >= THRESHOLDS_M[0] else 2.0 if visibility >= THRESHOLDS_M[1] else 1.0
+    if visibility >= THRESHOLDS_M[0]:
+        return 3.0
+    return 2.0 if visibility >= THRESHOLDS_M[1] else 1.0
 
 
 class Water:
