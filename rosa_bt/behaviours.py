@@ -26,6 +26,8 @@ from rosa_bt.requests import (
     why,
 )
 
+Ticking = Generator[Behaviour, None, Status]
+"""Yields the nodes that are visited, as `tick` of py_trees does, and returns the outcome."""
 StatusView = ActionView | FunctionView | ComponentView | DesignView | ConfigurationView
 """A view of an element that has a name and a status."""
 _SAVE_S = 1.0
@@ -59,7 +61,7 @@ def halt(root: Behaviour) -> None:
 class GuardedBehaviour(Behaviour):
     """A behaviour that fails on an exception, with its text as feedback; an interrupt stops it."""
 
-    def advance(self) -> Generator[Behaviour, None, Status]:
+    def advance(self) -> Ticking:
         """Do the work of one tick: yield the nodes that are visited before, return the status."""
         raise NotImplementedError
 
@@ -111,7 +113,7 @@ class KbBehaviour(GuardedBehaviour):
             return FAILURE if new_status is SUCCESS else new_status
         return new_status
 
-    def advance(self) -> Generator[Behaviour, None, Status]:
+    def advance(self) -> Ticking:
         yield from ()  # it has no children
         return self._advance()
 

@@ -1,15 +1,14 @@
 """The idioms of missions that adapt: two composites, and subtrees that are made in one call."""
 
-from collections.abc import Generator, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Iterator, Mapping, MutableMapping, Sequence
 from typing import Any
 
 from py_trees import composites
 from py_trees.behaviour import Behaviour
-from py_trees.common import Status
 from py_trees.decorators import Decorator
 
 from kb import UnknownName
-from rosa_bt.behaviours import ActionBehaviour, IsActionFeasible, RosaAction
+from rosa_bt.behaviours import ActionBehaviour, IsActionFeasible, RosaAction, Ticking
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import TreeChangeError, path_of
 from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS, Requester, is_parallel
@@ -34,7 +33,7 @@ def failed_as_unfeasible(task: Behaviour) -> bool:
 class _RoleComposite(composites.Composite):
     """A composite whose children have different roles; base class."""
 
-    def advance(self) -> Generator[Behaviour, None, Status]:
+    def advance(self) -> Ticking:
         """Do the work of one tick: yield the nodes that are visited before, return the status."""
         raise NotImplementedError
 
@@ -71,7 +70,7 @@ class DoUntilUnfeasible(_RoleComposite):
         super().__init__(name, [task, meanwhile])
         self.memory = memory
 
-    def advance(self) -> Generator[Behaviour, None, Status]:
+    def advance(self) -> Ticking:
         task, meanwhile = self.children
         if self.memory and meanwhile.status is RUNNING:
             yield from meanwhile.tick()
@@ -128,7 +127,7 @@ class SafeSwitch(_RoleComposite):
         self.last_action = last_action
         self.after = tuple(transitions)
 
-    def advance(self) -> Generator[Behaviour, None, Status]:
+    def advance(self) -> Ticking:
         before = self.last_action.get(_LAST)
         task = self.children[-1]
         if before in self.after:

@@ -6,7 +6,7 @@ tree; in a tree without one, by the monotonic clock of this computer.
 
 import math
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 
 import py_trees.decorators
 import py_trees.timers
@@ -15,7 +15,7 @@ from py_trees.common import Status
 from py_trees.decorators import Decorator
 
 from kb import KnowledgeBase
-from rosa_bt.behaviours import GuardedBehaviour, halt
+from rosa_bt.behaviours import GuardedBehaviour, Ticking, halt
 from rosa_bt.exceptions import TreeChangeError, report
 from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS, ActionRequest, Requester
 
@@ -67,7 +67,7 @@ class ForAction(GuardedBehaviour, Requester, Decorator):
         self.exclusive = exclusive
         self._request = ActionRequest(self, kb)
 
-    def advance(self) -> Generator[Behaviour, None, Status]:
+    def advance(self) -> Ticking:
         new_status = self._request.admit()
         if new_status is SUCCESS:
             yield from self.decorated.tick()

@@ -97,25 +97,21 @@ def _rows(root: Behaviour) -> list[_Row]:
         behaviour, parent, lead, below, is_idle = pending.pop()
         status = INVALID if is_idle and behaviour.status is not RUNNING else behaviour.status
         reason = _feasibility(behaviour)
-        is_said = reason in said
+        feasibility = reason
+        if reason in said and reason not in ("", "feasible"):
+            feasibility = "unfeasible"
         said.add(reason)
-        feasibility = "unfeasible" if is_said and reason != "feasible" and reason else reason
+        notes = [feasibility]
         feedback = _plain(behaviour.feedback_message)
-        notes = (
-            [feasibility, feedback]
-            if feedback not in said and not reason.endswith(feedback)
-            else [feasibility]
-        )
-        edge = (
-            _PLAIN if not feasibility else _FEASIBLE if feasibility == "feasible" else _UNFEASIBLE
-        )
-        title = " ".join(
-            filter(None, [f"[{_MARKS[status]}]", _kind(behaviour), _plain(behaviour.name)])
-        )
+        if feedback not in said and not reason.endswith(feedback):
+            notes.append(feedback)
+        edge = {"": _PLAIN, "feasible": _FEASIBLE}.get(feasibility, _UNFEASIBLE)
+        title = [f"[{_MARKS[status]}]", _kind(behaviour), _plain(behaviour.name)]
         for child in reversed(behaviour.children):
             step, rest = ("`-- ", "    ") if child is behaviour.children[-1] else ("|-- ", "|   ")
             pending.append((child, len(rows), below + step, below + rest, status is INVALID))
-        rows.append(_Row(parent, lead, title, status, edge, tuple(filter(None, notes))))
+        row = " ".join(filter(None, title)), status, edge, tuple(filter(None, notes))
+        rows.append(_Row(parent, lead, *row))
     return rows
 
 

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
+from rosa_bt.behaviours import Ticking
 from rosa_bt.requests import FAILURE, RUNNING, SUCCESS
 from rosa_bt.xml.blackboard import PortError, Ports
 from rosa_bt.xml.nodes import (
@@ -21,7 +22,6 @@ from rosa_bt.xml.nodes import (
     NodeError,
     OneChild,
     Slot,
-    Ticking,
     port,
 )
 from rosa_bt.xml.scripts import parse_script

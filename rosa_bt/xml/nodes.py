@@ -6,7 +6,7 @@ finished until its parent resets it, a skipped node is idle, and only a RUNNING 
 SKIPPED and IDLE are INVALID here, since py_trees has no other status for them.
 """
 
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -16,7 +16,7 @@ from py_trees.composites import Composite
 from py_trees.decorators import Decorator
 from py_trees.ports import PortInformation
 
-from rosa_bt.behaviours import RosaAction
+from rosa_bt.behaviours import RosaAction, Ticking
 from rosa_bt.exceptions import RosaBtError
 from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS
 from rosa_bt.xml.blackboard import Blackboard, Declared, Entry, Ports
@@ -28,9 +28,6 @@ DONE = (SUCCESS, FAILURE)
 MAX_NODES = 10_000
 """Most nodes in one tree with all its subtrees, and so also most children of a node."""
 ROUNDING_S = 1e-9
-
-Ticking = Generator[Behaviour, None, Status]
-"""Yields the nodes that are visited, as `tick` of py_trees does, and returns the outcome."""
 
 
 class NodeError(RosaBtError, RuntimeError):

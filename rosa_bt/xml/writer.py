@@ -38,6 +38,8 @@ _TAGS: Mapping[type[Behaviour], str] = {
 }
 """The tags of behaviours that mean exactly the same; before those of composites without memory,
 `Reactive`."""
+Source = tuple[str, dict[str, str]]
+"""The tag and the attributes of an element."""
 _DURATIONS = {Timer: "msec", Timeout: "msec", Delay: "delay_msec"}
 _ARGUMENTS = (
     *("action", "preference", "wait", "timeout", "even_if_unfeasible", "exclusive"),
@@ -152,7 +154,7 @@ class _Writer:
                     element.append(self.element(slot_of(child)))
         return element
 
-    def source(self, node: Behaviour) -> tuple[str, dict[str, str]]:
+    def source(self, node: Behaviour) -> Source:
         """Return tag and attributes of a behaviour that is not from a file."""
         raise NotImplementedError
 
@@ -182,7 +184,7 @@ class _Exporter(_Writer):
         self.trees.setdefault(name, content)
         return name
 
-    def source(self, node: Behaviour) -> tuple[str, dict[str, str]]:
+    def source(self, node: Behaviour) -> Source:
         kind = type(node)
         if kind in _TAGS and (node.children or not isinstance(node, Composite)):
             tag = _tag(node)
@@ -200,7 +202,7 @@ class _Exporter(_Writer):
             tag, attributes = self._leaf(node)
         return tag, {"name": node.name, **attributes}
 
-    def _leaf(self, leaf: Behaviour) -> tuple[str, dict[str, str]]:
+    def _leaf(self, leaf: Behaviour) -> Source:
         kind = type(leaf)
         registry = self._registry
         what = f"{kind.__name__} {leaf.name!r}"
@@ -274,7 +276,7 @@ class NumberedTree(_Writer):
         self._path = around
         return name
 
-    def source(self, node: Behaviour) -> tuple[str, dict[str, str]]:
+    def source(self, node: Behaviour) -> Source:
         is_ours = type(node) in _TAGS
         if isinstance(node, ActionBehaviour):
             is_ours = node.named_action is not None
