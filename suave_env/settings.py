@@ -237,7 +237,7 @@ def parse_thruster_events(text: str, chained: bool = False) -> tuple[ThrusterEve
     """
     events = list[ThrusterEvent]()
     time = 0.0
-    for part in filter(None, (" ".join(one.split()) for one in text.split(","))):
+    for part in filter(None, (" ".join(words.split()) for words in text.split(","))):
         read = _EVENT.fullmatch(part)
         if read is None:
             example = '"1 failure 35, 1 recovery 90"'

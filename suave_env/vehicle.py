@@ -330,7 +330,9 @@ class Guidance:
 
     def stopping_point(self, position: Vector, velocity: Vector) -> Vector:
         """Return where the vehicle would come to rest [m]: `p + v / k`."""
-        (px, py, pz), (vx, vy, vz), (kx, ky, kz) = position, velocity, self._gains
+        px, py, pz = position
+        vx, vy, vz = velocity
+        kx, ky, kz = self._gains
         return px + vx / max(kx, 1e-3), py + vy / max(ky, 1e-3), pz + vz / max(kz, 1e-3)
 
     def force(
@@ -422,7 +424,8 @@ class Autopilot:
 
     def fly(self, until: float) -> None:
         """Simulate all control periods that end by a time [s]."""
-        self._until, last = until, math.floor(until / self._period + 1e-9)
+        self._until = until
+        last = math.floor(until / self._period + 1e-9)
         if last > self._periods:
             self._fly_periods(last)
             self._periods = last
