@@ -246,16 +246,14 @@ class _Explainer:
         shown = f"{attribute.name} {reading(value, (constraint.value,), attribute)}"
         if attribute in state.stale:
             return f"{shown} {staleness(time, attribute, self._now)}"
-        debounced = state.debounced.get(node)
-        verdict = None if debounced is None else debounced.status
-        if verdict is Status.NOT_EVALUATED:
+        if status is Status.NOT_EVALUATED:
             return f"{shown} is not confirmed: {_votes(node.attribute)} have to agree"
         holds = OPERATORS[constraint.operator](value, constraint.value)
         verb = "satisfies" if holds else "violates"
         fact = f"{shown} {verb} {bound} ({_age(time, self._now)})"
-        if verdict is None or holds == (verdict is Status.SATISFIED):
+        if holds == (status is Status.SATISFIED):
             return fact
-        return f"{fact}, but {bound} stays {verdict} {_debouncing(value, node, verdict)}"
+        return f"{fact}, but {bound} stays {status} {_debouncing(value, node, status)}"
 
 
 def _debouncing(value: float, node: Node, verdict: Status) -> str:

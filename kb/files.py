@@ -73,7 +73,7 @@ def read_text(file: Path) -> str:
             raise ModelFileError(message, str(file))
         content = file.read_bytes()
     except FileNotFoundError:
-        beside = sorted(one.name for suffix in SUFFIXES for one in file.parent.glob(f"*{suffix}"))
+        beside = sorted(path.name for suffix in SUFFIXES for path in file.parent.glob(f"*{suffix}"))
         none = "there is no such file, and no other model in that folder"
         raise ModelFileError(
             str(UnknownName("file", file.name, beside)) if beside else none, str(file)

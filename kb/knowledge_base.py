@@ -948,7 +948,8 @@ class KnowledgeBase:
 
     def _begin(self, stated: Sequence[elements.Fact], now: float) -> None:
         """Begin with what the model states."""
-        network, state = self._network, self._state
+        network = self._network
+        state = self._state
         measured = [fact for fact in stated if isinstance(fact, elements.MeasurementFact)]
         measured.sort(key=lambda fact: (fact.latest, now if fact.time is None else fact.time))
         for number, measurement in enumerate(measured, start=-len(measured)):
@@ -1107,7 +1108,8 @@ def _chosen(
         )
     nodes = []
     for owner_name, name in (choice or {}).items():
-        node, owner = parts[name], owners[owner_name]
+        node = parts[name]
+        owner = owners[owner_name]
         if node.used_by[0] is not owner:
             raise InvalidValue(
                 f"{node.kind} {node.name!r} is of {node.used_by[0].name!r}, not of {owner.name!r}"

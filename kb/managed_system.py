@@ -71,12 +71,12 @@ def words_of(error: BaseException) -> str:
     return str(error) or type(error).__name__
 
 
-def wrong_answer(call: str, given: object, answer: object, expected: str) -> ProtocolError:
+def wrong_answer(call: str, stage: object, answer: object, expected: str) -> ProtocolError:
     """Return the error for a value that a protocol does not allow."""
     if iscoroutine(answer):
         answer.close()
     return ProtocolError(
-        f"{call} of {type(given).__name__} returned {answer!r:.80}; it is to return {expected}"
+        f"{call} of {type(stage).__name__} returned {answer!r:.80}; it is to return {expected}"
     )
 
 
@@ -87,31 +87,31 @@ class Looking(Protocol):
         """Return at once whether a component runs; None if that is not known."""
 
 
-def check_methods(role: str, given: object, protocol: type, optional: type | None = None) -> None:
+def check_methods(role: str, stage: object, protocol: type, optional: type | None = None) -> None:
     """Raise `ProtocolError` unless an object has the methods of a protocol.
 
     Args:
         role: of the object, in words, such as "a planner".
-        given: the object.
+        stage: the object.
         protocol: the class whose public methods the object must have.
         optional: the class whose public methods are checked if the object has them.
     """
-    owner = type(given).__name__
-    if isinstance(given, type):
-        name = given.__name__
+    owner = type(stage).__name__
+    if isinstance(stage, type):
+        name = stage.__name__
         raise ProtocolError(f"{role} is an object; {name} is a class: write {name}(...)")
     functions = dict(vars(protocol))
     for name, function in vars(optional).items() if optional else ():
-        if hasattr(given, name):
+        if hasattr(stage, name):
             functions[name] = function
     for name, function in functions.items():
         if name.startswith("_"):
             continue
         parameters = list(signature(function).parameters)[1:]
-        method = getattr(given, name, None)
+        method = getattr(stage, name, None)
         call = f"{name}({', '.join(parameters)})"
         if not callable(method):
-            raise ProtocolError(f"{role} has a method {call}; {given!r:.80} has none")
+            raise ProtocolError(f"{role} has a method {call}; {stage!r:.80} has none")
         if any(is_late(method) for is_late in _LATE):
             raise ProtocolError(
                 f"{call} of {owner} is async or a generator; {role} answers at once"

@@ -300,7 +300,8 @@ class Records:
             case "request_action", (name, preference):
                 if isinstance(preference, Mapping):
                     preference = MappingProxyType(dict(preference))
-                cause, number = event.cause, event.number
+                cause = event.cause
+                number = event.number
                 self._add(RequiredAction(name, preference, now, cause=cause, number=number))
             case "cancel_action", (name, result, reason) if name in self.required:
                 self.last_end = now, event.number

@@ -15,7 +15,7 @@ from kb.debounce import turning_point
 from kb.elements import Action, Attribute, Constraint, Element, StalePolicy, exact
 from kb.network import Node
 from kb.state import State
-from kb.status import IMPOSSIBLE, OPERATORS, Status
+from kb.status import IMPOSSIBLE, Status
 
 LIMIT: Final = 64
 """The most conjunctions of one element."""
@@ -177,7 +177,8 @@ class Requirements:
         possible = Interval()
         if state is not None:
             if attribute not in self._is_harmless:
-                self._is_harmless[attribute] = _is_harmless(state, attribute)
+                statuses = [state.compare(other) for other in attribute.constraints]
+                self._is_harmless[attribute] = Status.VIOLATED not in statuses
             if self._is_harmless[attribute]:
                 return TRUE
             verdict = state.verdict(node)
@@ -228,25 +229,6 @@ def _repaired(what: str, node: Node) -> Alternatives:
 
 def _is_counted_violated(state: State, attribute: Node) -> bool:
     return attribute in state.stale and attribute.attribute.when_stale is StalePolicy.VIOLATED
-
-
-def _is_harmless(state: State, attribute: Node) -> bool:
-    """Return whether an attribute violates nothing."""
-    value = state.value.get(attribute)
-    if _is_counted_violated(state, attribute):
-        return False
-    if value is None or attribute in state.stale:
-        return True
-    for node in attribute.constraints:
-        verdict = state.verdict(node)
-        if verdict is None:
-            constraint = node.constraint
-            is_violated = not OPERATORS[constraint.operator](value, constraint.value)
-        else:
-            is_violated = verdict is Status.VIOLATED
-        if is_violated:
-            return False
-    return True
 
 
 def _required(node: Node, verdict: Status | None) -> Interval:

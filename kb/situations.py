@@ -184,15 +184,17 @@ def resolve(
 
 
 def preferred(
-    network: Network, given: str | Mapping[str, float] | None
+    network: Network, preference: str | Mapping[str, float] | None
 ) -> str | Mapping[str, float] | None:
     """Return a preference as the name of an attribute, or finite weights by name.
 
     Any other is refused.
     """
-    if given is None or not isinstance(given, Mapping):
-        return None if given is None else network.attributes[given].name
-    weights = {network.attributes[name].name: finite_number(one) for name, one in given.items()}
+    if preference is None or not isinstance(preference, Mapping):
+        return None if preference is None else network.attributes[preference].name
+    weights = {
+        network.attributes[name].name: finite_number(weight) for name, weight in preference.items()
+    }
     return MappingProxyType(weights)
 
 
@@ -247,8 +249,8 @@ def situation(
         raise InvalidValue(
             f"a situation is that of a time from now on, {now!r} s by the clock; not {at!r}"
         )
-    with base.reading() as known:
-        state = known.copy()
+    with base.reading() as present:
+        state = present.copy()
         network = state.network
         for name in failed:
             state.set_flag("failed", network.components[name], True)

@@ -474,7 +474,7 @@ class State:
         if node in self.asserted:
             return self.asserted[node]
         if node.kind == "constraint":
-            return self._compare(node, node.requires[0])
+            return self.compare(node)
         statuses = self.status
         constraints = [statuses[constraint] for constraint in node.constraints]
         if node.kind == "configuration":
@@ -488,10 +488,13 @@ class State:
         chosen = [statuses[part] for part in node.requires if part in self.selected]
         if node.kind == "function":
             return function_status(parts, chosen, is_required)
-        is_failed, is_active = node in self.failed, node in self.active
+        is_failed = node in self.failed
+        is_active = node in self.active
         return component_status(is_failed, constraints, parts, chosen, is_required, is_active)
 
-    def _compare(self, node: Node, attribute: Node) -> Status:
+    def compare(self, node: Node) -> Status:
+        """Return the status of a constraint by its measurements."""
+        attribute = node.requires[0]
         if attribute in self.stale:
             return policy_status(attribute.attribute.when_stale)
         debounced = self.debounced.get(node)

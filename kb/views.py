@@ -57,8 +57,8 @@ class ElementView:
     @property
     def element(self) -> Element | Constraint:
         """The element of the model that this view shows, e.g. to change it there."""
-        found: Element | Constraint = self.node.element
-        return found
+        element: Element | Constraint = self.node.element
+        return element
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle a view as that of the present situation; a knowledge base cannot be pickled."""

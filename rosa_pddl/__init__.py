@@ -24,7 +24,7 @@ from rosa_pddl.planner import Certificate, Planner, certificate, wait_for_plan
 from rosa_pddl.problem import Attempt, Outcome, PlanningResult, Problem
 from rosa_pddl.reader import Goal, load_domain, parse_domain
 from rosa_pddl.replanning import Goals, PlanRecord, ReplanningPolicy
-from rosa_pddl.validate import TimedStep, flaw, schedule_flaw
+from rosa_pddl.validate import TimedStep, flaw
 
 __all__ = [
     "Attempt",
@@ -60,6 +60,5 @@ __all__ = [
     "initial_state",
     "load_domain",
     "parse_domain",
-    "schedule_flaw",
     "wait_for_plan",
 ]

@@ -13,7 +13,7 @@ from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Event, Lock
-from typing import Final, NamedTuple
+from typing import Any, Final
 from weakref import WeakSet
 
 from rosa_pddl.domain import nearest
@@ -35,23 +35,6 @@ class Cancelled(Exception):
     """The answer is no longer wanted."""
 
 
-class EngineStep(NamedTuple):
-    """A step as an engine gives it: the action in the text, its arguments, and its times [s]."""
-
-    action: str
-    arguments: list[str]
-    start_s: float = 0.0
-    duration_s: float = 0.0
-
-
-class EngineAnswer(NamedTuple):
-    """How an engine ended, with its plan."""
-
-    outcome: Outcome
-    steps: tuple[EngineStep, ...] = ()
-    message: str = ""
-
-
 class EngineProcess:
     """A process that answers one question at a time; the next one starts it anew after a crash.
 
@@ -62,8 +45,14 @@ class EngineProcess:
         self._process: subprocess.Popen[bytes] | None = None
         self._lock = Lock()
 
-    def ask(self, engine: str, text: PddlText, cancelled: Event, limit_s: float) -> EngineAnswer:
-        """Ask an engine for a plan; raise PlanningFailed for trouble, or Cancelled."""
+    def ask(
+        self, engine: str, text: PddlText, cancelled: Event, limit_s: float
+    ) -> tuple[Outcome, list[Any]]:
+        """Ask an engine; raise PlanningFailed for trouble, or Cancelled.
+
+        Returns:
+            The outcome, and the steps: action, arguments, and if it says them start and duration.
+        """
         deadline = time.monotonic() + limit_s
         while not self._lock.acquire(timeout=_LOOKS_S):
             if cancelled.is_set():
@@ -89,8 +78,7 @@ class EngineProcess:
         outcome = Outcome(answer["outcome"])
         if outcome.is_trouble:
             raise PlanningFailed(outcome, answer["message"] or "it said nothing")
-        steps = tuple(EngineStep(*step) for step in answer["plan"])
-        return EngineAnswer(outcome, steps, answer["message"])
+        return outcome, answer["plan"]
 
     def _start(self) -> None:
         """Start the process, unless it runs already."""

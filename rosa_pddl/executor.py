@@ -34,7 +34,6 @@ from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor
 from rosa_pddl.planner import Planner
 from rosa_pddl.reader import conditions
 from rosa_pddl.replanning import (
-    Decision,
     Goals,
     PlannerClient,
     PlanRecord,
@@ -503,7 +502,7 @@ class PlanExecutor(Behaviour):
 
     def _want(self, reason: str, cause: int | None = None) -> None:
         """Note that a plan is wanted, and drop the current plan; running steps go on."""
-        self._replanning.want(Decision(reason, cause))
+        self._replanning.want(reason, cause)
         self._plan = None
 
     def _take_answer(self) -> None:

@@ -36,7 +36,7 @@ from rosa_pddl.problem import (
     Problem,
 )
 from rosa_pddl.search import CapReached, Grounded
-from rosa_pddl.validate import TimedStep, flaw, schedule_flaw, step_costs, takes_s
+from rosa_pddl.validate import TimedStep, flaw, step_costs, takes_s
 
 SEARCH = "search"
 """The strategy that is the exact search in this process."""
@@ -302,13 +302,13 @@ class _Planning:
             raise PlanningFailed(Outcome.UNSUPPORTED, f"{message}; Planner() does")
         text = self._text(engine)
         left_s = deadline - time.monotonic()
-        answer = self._planner.process.ask(engine, text, self.cancelled, left_s)
+        outcome, plan = self._planner.process.ask(engine, text, self.cancelled, left_s)
         timed = list[TimedStep]()
-        for name, arguments, start_s, duration_s in answer.steps:
-            timed.append(TimedStep(text.step(domain, name, arguments), start_s, duration_s))
+        for name, arguments, *times in plan:
+            timed.append(TimedStep(text.step(domain, name, arguments), *(times or (0.0, 0.0))))
         is_schedule = self._planner.overlapping or domain.only_planned or domain.timed
         steps = tuple(each.step for each in timed)
-        return PlanningResult(answer.outcome, steps, schedule=tuple(timed) if is_schedule else ())
+        return PlanningResult(outcome, steps, schedule=tuple(timed) if is_schedule else ())
 
     def _text(self, engine: str) -> PddlText:
         domain = self._domain
@@ -359,15 +359,12 @@ class _Planning:
         domain = self._domain
         state = problem.state
         costs = problem.costs
-        if answer.schedule:
-            schedule = answer.schedule
-            wrong = schedule_flaw(domain, schedule, state, problem.wanted, problem.until, costs)
-        else:
-            takes = [takes_s(domain, step, state, costs) for step in answer.steps]
-            if takes:
-                takes[0] *= problem.shares.get(answer.steps[0], 1.0)
-            ends_s = tuple(accumulate(takes))
-            wrong = flaw(domain, answer.steps, state, problem.wanted, problem.until, ends_s)
+        takes = [takes_s(domain, step, state, costs) for step in answer.steps]
+        if takes:
+            takes[0] *= problem.shares.get(answer.steps[0], 1.0)
+        ends_s = tuple(accumulate(takes))
+        plan = answer.schedule or answer.steps
+        wrong = flaw(domain, plan, state, problem.wanted, problem.until, ends_s, costs)
         if wrong is not None:
             message = f"{strategy} returned a plan that does not work: {wrong}"
             raise PlanningFailed(Outcome.ENGINE_CRASHED, message)

@@ -196,14 +196,6 @@ class ReplanningPolicy:
             raise PlannerSettingError(f"overrun is {self.overrun:g}, expected more than 1")
 
 
-@dataclass(frozen=True)
-class Decision:
-    """The decision to replan: why, and the event that caused it."""
-
-    reason: str
-    cause: int | None = None
-
-
 class RetryBackoff:
     """Counts failures in a row of each step, and of the planner (key None), with their pauses."""
 
@@ -264,10 +256,11 @@ class PlansAhead(Protocol):
 
 @dataclass(frozen=True)
 class _Question:
-    """A request to the planner; without a decision it is part of a diagnosis."""
+    """A request to the planner; without a reason it is part of a diagnosis."""
 
     problem: Problem
-    decision: Decision | None
+    reason: str
+    cause: int | None
     at_s: float
     future: "Future[PlanningResult]"
 
@@ -295,7 +288,7 @@ class PlannerClient:
         """Whether the answer to the open question may be taken in the tick of the request."""
         return self._delay_s is None and self.has_answer
 
-    def ask(self, problem: Problem, decision: Decision | None) -> None:
+    def ask(self, problem: Problem, reason: str = "", cause: int | None = None) -> None:
         """Ask for a plan; an open question is given up."""
         self.give_up()
         try:
@@ -303,7 +296,7 @@ class PlannerClient:
         except Exception as error:  # a planner must not stop the tree; its error is its answer
             future = Future()
             future.set_exception(error)
-        self._question = _Question(problem, decision, self.clock(), future)
+        self._question = _Question(problem, reason, cause, self.clock(), future)
 
     @property
     def has_answer(self) -> bool:
@@ -475,7 +468,7 @@ class Replanning:
         self._clock = client.clock
         self._matters = Relevance(monitor.effects.domain, goals).matters
         self._last_asked_s = -inf
-        self._wanted: Decision | None = None
+        self._wanted: tuple[str, int | None] | None = None
         self._diagnosis: tuple[Problem, str, Diagnosis] | None = None
         self._dead_end: _DeadEnd | None = None
         self.backoff = RetryBackoff(client.clock, policy)
@@ -509,9 +502,9 @@ class Replanning:
         """Whether the last planning found that there is no plan."""
         return self._dead_end is not None
 
-    def want(self, decision: Decision) -> None:
-        """Note that a plan is wanted; the planning under way is given up."""
-        self._wanted = self._wanted or decision
+    def want(self, reason: str, cause: int | None = None) -> None:
+        """Note that a plan is wanted, and what caused that; give up the planning under way."""
+        self._wanted = self._wanted or (reason, cause)
         self._client.give_up()
         self._diagnosis = None
 
@@ -527,18 +520,18 @@ class Replanning:
         self.left_out = ()
         self._is_last_try = True
         self.backoff.end_pauses()
-        self.want(Decision(f"the other goals are reached; once more {names}"))
+        self.want(f"the other goals are reached; once more {names}")
 
     def ask_if_allowed(self, state: State, shares: Mapping[Step, float]) -> str | None:
         """Request the plan that is wanted, unless it is too soon; return what to show."""
         if self._wanted is None:
             return None
+        reason, _ = self._wanted
         now_s = self._clock()
         left_s = self._last_asked_s + self._policy.at_most_every_s - now_s
         left_s = max(left_s, self.backoff.wait_s(None))
         if left_s > 0.0:
-            return f"planning in {left_s:.2g} s: {self._wanted.reason}"
-        decision = self._wanted
+            return f"planning in {left_s:.2g} s: {reason}"
         until = self._monitor.until()
         problem = Problem(
             domain=self._effects.domain,
@@ -550,10 +543,10 @@ class Replanning:
             shares=shares if until else {},
             soft=self._goals.soft,
         )
-        self._client.ask(problem, decision)
+        self._client.ask(problem, *self._wanted)
         self._wanted = self._dead_end = None
         self._last_asked_s = now_s
-        return f"planning: {decision.reason}"
+        return f"planning: {reason}"
 
     def forget(self) -> None:
         """Give up wanted plans and planning under way; a known lack of a plan is kept."""
@@ -564,8 +557,7 @@ class Replanning:
         """Take the answer; return the plan, if there is one."""
         question, result = self._client.take()
         problem = question.problem
-        decision = question.decision
-        if decision is None:
+        if not question.reason:
             self._diagnose(result, state)
             return None
         domain = self._effects.domain
@@ -573,12 +565,12 @@ class Replanning:
         if outcome.is_solved:
             assumed = self._effects.assumptions(result.steps, state)
             result = replace(result, message="; ".join(assumed))
-        self._record(question, decision, result)
+        self._record(question, result)
         if not outcome.is_passing:
             self.backoff.forget(None)
         is_fresh = self._is_same(problem, state)
         if not outcome.is_solved:
-            self._without_plan(problem, decision, result, state)
+            self._without_plan(question, result, state)
             return None
         plan = PlanExecution.of(domain, result, self.hard)
         if self._goals.soft:
@@ -591,26 +583,26 @@ class Replanning:
         self._give_up(replace(problem, state=state), why)
         return None
 
-    def _record(self, question: _Question, decision: Decision, result: PlanningResult) -> None:
+    def _record(self, question: _Question, result: PlanningResult) -> None:
         record = PlanRecord(
             at_s=question.at_s,
-            reason=decision.reason,
+            reason=question.reason,
             outcome=result.outcome,
             steps=result.steps,
             engine=result.engine,
             message=result.message,
-            cause=decision.cause,
+            cause=question.cause,
         )
         self.records = record.added_to(self.records)
 
-    def _without_plan(
-        self, problem: Problem, decision: Decision, result: PlanningResult, state: State
-    ) -> None:
+    def _without_plan(self, question: _Question, result: PlanningResult, state: State) -> None:
         """Start a diagnosis or a retry, or conclude."""
+        problem = question.problem
+        reason = question.reason
         outcome = result.outcome
-        why = f"no plan: {result.message or decision.reason}"
+        why = f"no plan: {result.message or reason}"
         if str(outcome) not in why:
-            why = f"no plan, {outcome}: {result.message or decision.reason}"
+            why = f"no plan, {outcome}: {result.message or reason}"
         if outcome.is_passing:  # it does not tell whether there is a plan
             is_over = self.backoff.add(None)
             count = self.backoff.count(None)
@@ -619,10 +611,10 @@ class Replanning:
                 why = f"{why}; tried {count} times, again in {left_s:.3g} s at the earliest"
                 self._give_up(replace(problem, state=state), why, self._clock() + left_s)
             else:
-                text = f"{outcome} after {decision.reason}"
-                self.want(Decision(f"{text}: retry {count} of {self._policy.retries}"))
+                text = f"{outcome} after {reason}"
+                self.want(f"{text}: retry {count} of {self._policy.retries}")
         elif not self._is_same(problem, state):
-            self.want(Decision("the state changed during planning"))
+            self.want("the state changed during planning")
         elif outcome.is_trouble:
             self._conclude(replace(problem, state=state), [why])
         else:
@@ -653,11 +645,11 @@ class Replanning:
         assert self._diagnosis is not None
         problem, why, asking = self._diagnosis
         if not self._is_same(problem, state):
-            self.want(Decision("the state changed"))
+            self.want("the state changed")
             return
         try:
             # a generator that has not started accepts no value
-            self._client.ask(next(asking) if answer is None else asking.send(answer), None)
+            self._client.ask(next(asking) if answer is None else asking.send(answer))
         except StopIteration as concluded:
             self._diagnosis = None
             reasons: Reasons = concluded.value
@@ -671,7 +663,7 @@ class Replanning:
         """Leave out goals for now, and plan for the others."""
         self.left_out = (*self.left_out, *goals)
         names = ", ".join(goal.text for goal in goals)
-        self.want(Decision(f"{names} out of reach for now; the others first"))
+        self.want(f"{names} out of reach for now; the others first")
         _LOG.info("%s left out: %s", names, why)
 
     def _conclude(self, problem: Problem, why: Sequence[str]) -> None:

@@ -372,64 +372,46 @@ def one_after_the_other(count: int) -> tuple[tuple[StepEvent], ...]:
 
 def flaw(
     domain: Domain,
-    steps: Iterable[Step],
+    plan: Iterable[Step | TimedStep],
     state: State,
     goals: Iterable[Formula] | None = None,
     until: Mapping[str, float] | None = None,
     ends_s: Sequence[float] = (),
+    numbers: Mapping[str, float] | None = None,
 ) -> str | None:
     """Return in words why a plan does not lead from a state to the goal; None if it does.
 
     Args:
         domain: what `load_domain` returned.
-        steps: the plan; its steps follow one another.
+        plan: steps that follow one another, or a schedule whose steps may overlap.
         state: the true atoms at the start.
         goals: the goals, as formulas; by default the goal of the problem file.
         until: how much longer feasibility facts hold, see `Problem` [s].
-        ends_s: when each step ends [s]; by default from the declared durations.
+        ends_s: when each step of a sequence ends [s]; by default from the declared durations.
+        numbers: the values of numbers where they differ from the problem file.
     """
-    listed = tuple(steps)
-    ends_s = ends_s or tuple(accumulate(takes_s(domain, step, state) for step in listed))
-    return _judged(domain, listed, one_after_the_other(len(listed)), state, goals, until, ends_s)
-
-
-def _judged(
-    domain: Domain,
-    steps: Sequence[Step],
-    planned: Iterable[Sequence[StepEvent]],
-    state: State,
-    goals: Iterable[Formula] | None,
-    until: Mapping[str, float] | None,
-    ends_s: Sequence[float],
-) -> str | None:
+    listed = list(plan)
+    schedule = [each for each in listed if isinstance(each, TimedStep)]
+    steps = [each for each in listed if isinstance(each, Step)]
+    planned: Iterable[Sequence[StepEvent]] = one_after_the_other(len(steps))
+    if schedule:
+        domain, schedule = _with_timed_facts(domain, schedule)
+        values = Values(domain, state, numbers)
+        for timed in schedule:
+            if not _lasts_as_declared(values, timed):
+                return f"{timed.step} takes {timed.duration_s:g} s, which is not its duration"
+        planned = moments(schedule)
+        steps = [timed.step for timed in schedule]
+        ends_s = [timed.end_s for timed in schedule]
+    elif until:
+        ends_s = ends_s or tuple(accumulate(takes_s(domain, step, state) for step in steps))
     wrong, facts = replay(domain, steps, planned, state, until=until, ends_s=ends_s)
     if wrong is None and not goal_holds(domain, facts, goals):
         return "the plan does not reach the goal"
     return wrong
 
 
-def schedule_flaw(
-    domain: Domain,
-    schedule: Sequence[TimedStep],
-    state: State,
-    goals: Iterable[Formula] | None = None,
-    until: Mapping[str, float] | None = None,
-    numbers: Mapping[str, float] | None = None,
-) -> str | None:
-    """Return why a schedule, whose steps may overlap, does not lead to the goal; like `flaw`."""
-    domain, schedule = _with_timed_facts(domain, schedule)
-    values = Values(domain, state, numbers)
-    for timed in schedule:
-        if not _lasts_as_declared(values, timed):
-            return f"{timed.step} takes {timed.duration_s:g} s, which is not its duration"
-    steps = [timed.step for timed in schedule]
-    ends_s = [timed.end_s for timed in schedule]
-    return _judged(domain, steps, moments(schedule), state, goals, until, ends_s)
-
-
-def _with_timed_facts(
-    domain: Domain, schedule: Sequence[TimedStep]
-) -> tuple[Domain, Sequence[TimedStep]]:
+def _with_timed_facts(domain: Domain, schedule: list[TimedStep]) -> tuple[Domain, list[TimedStep]]:
     """Add facts that change by themselves as instantaneous steps."""
     schemas = dict(domain.schema_of)
     steps = list(schedule)

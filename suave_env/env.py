@@ -93,11 +93,14 @@ class SuaveEnv:
         self._search_time: float | None = None
         self._guided = phases[7] * settings.guided_period_s
         self._disturbances: list[tuple[float, str]] = []
-        self._violations, self._reactions = Violations(), Reactions(settings.spiral_altitude_m)
-        self._agenda, self._outbox = Agenda(), Outbox(self._reactions.hear)
+        self._violations = Violations()
+        self._reactions = Reactions(settings.spiral_altitude_m)
+        self._agenda = Agenda()
+        self._outbox = Outbox(self._reactions.hear)
         self._battery_level = 1.0
         self._recharges = 0
-        self._water, self._thrusters = Water(settings), Thrusters(settings)
+        self._water = Water(settings)
+        self._thrusters = Thrusters(settings)
         self.pipeline = Pipeline(settings)
         self.station = (settings.station_x_m, settings.station_y_m)
         self._vehicle = Vehicle(
@@ -112,7 +115,8 @@ class SuaveEnv:
         nodes = (self._spiral, self._follower, recover, recharge)
         self.components = Components(nodes, lambda: self.now, self._autopilot.hold, self._switched)
         self._visibility: float | None = None  # as published last [m]
-        self._whole_periods, self._thruster_news = 0, list[tuple[int, str]]()
+        self._whole_periods = 0
+        self._thruster_news = list[tuple[int, str]]()
         self._enter_timers(phases, recharge)
         self._enter_disturbances()
 
@@ -147,12 +151,14 @@ class SuaveEnv:
     @property
     def metrics(self) -> Metrics:
         """The metrics of the run up to now."""
-        found = self._search_time
+        search_time = self._search_time
         return Metrics(
-            search_time_s=None if found is None else max(0, math.floor(found - self._guided)),
+            search_time_s=None
+            if search_time is None
+            else max(0, math.floor(search_time - self._guided)),
             distance_inspected_m=self._follower.distance_m,
             total_inspected_m=self._follower.total_m,
-            found_s=found,
+            found_s=search_time,
             violation_s=self._violations.seconds(self.now),
             uncorrected=self._violations.uncorrected,
             switches=len(self.components.history),

@@ -21,12 +21,12 @@ class SuaveEnvError(Exception):
     """
 
 
-def unknown_name(kind: str, name: object, known: Iterable[str]) -> SuaveEnvError:
+def unknown_name(kind: str, name: object, existing: Iterable[str]) -> SuaveEnvError:
     """Make the error for a name that does not exist.
 
     It lists the nearest known names, or all if none is near.
     """
-    names = list(known)
+    names = list(existing)
     near = difflib.get_close_matches(str(name), names, n=3)
     hint = (
         f"the nearest are {', '.join(near)}" if near else f"known are {', '.join(names) or 'none'}"
@@ -237,7 +237,7 @@ def parse_thruster_events(text: str, chained: bool = False) -> tuple[ThrusterEve
     """
     events = list[ThrusterEvent]()
     time = 0.0
-    for part in filter(None, (" ".join(one.split()) for one in text.split(","))):
+    for part in filter(None, (" ".join(words.split()) for words in text.split(","))):
         read = _EVENT.fullmatch(part)
         if read is None:
             example = '"1 failure 35, 1 recovery 90"'

@@ -94,31 +94,31 @@ class Thrusters:
         forward = forward / (4 * _COSINE)
         left = left / (4 * _COSINE)
         turn = turn / (4 * _YAW_ARM_M)
-        one = -forward - left - turn
-        two = -forward + left + turn
-        three = forward - left + turn
-        four = forward + left - turn
-        five = roll / (2 * _ROLL_ARM_M) - up / 2
-        six = -roll / (2 * _ROLL_ARM_M) - up / 2
+        first = -forward - left - turn
+        second = -forward + left + turn
+        third = forward - left + turn
+        fourth = forward + left - turn
+        fifth = roll / (2 * _ROLL_ARM_M) - up / 2
+        sixth = -roll / (2 * _ROLL_ARM_M) - up / 2
         limit = self._limit
-        level = max(abs(one), abs(two), abs(three), abs(four))
+        level = max(abs(first), abs(second), abs(third), abs(fourth))
         if level > limit:
             scale = limit / level
-            one = one * scale
-            two = two * scale
-            three = three * scale
-            four = four * scale
-        upright = max(abs(five), abs(six))
+            first = first * scale
+            second = second * scale
+            third = third * scale
+            fourth = fourth * scale
+        upright = max(abs(fifth), abs(sixth))
         if upright > limit:
-            five = five * limit / upright
-            six = six * limit / upright
-        self.outputs = outputs = [one, two, three, four, five, six]
+            fifth = fifth * limit / upright
+            sixth = sixth * limit / upright
+        self.outputs = outputs = [first, second, third, fourth, fifth, sixth]
         if self._stuck:
             for number, frozen in self._stuck.items():
                 outputs[number - 1] = frozen
-            one, two, three, four, five, six = outputs
-        thrusts = abs(one) ** 1.5 + abs(two) ** 1.5 + abs(three) ** 1.5 + abs(four) ** 1.5
-        self.energy_j += (thrusts + abs(five) ** 1.5 + abs(six) ** 1.5) * self._power * duration
+            first, second, third, fourth, fifth, sixth = outputs
+        thrusts = abs(first) ** 1.5 + abs(second) ** 1.5 + abs(third) ** 1.5 + abs(fourth) ** 1.5
+        self.energy_j += (thrusts + abs(fifth) ** 1.5 + abs(sixth) ** 1.5) * self._power * duration
         return outputs
 
 
@@ -330,7 +330,9 @@ class Guidance:
 
     def stopping_point(self, position: Vector, velocity: Vector) -> Vector:
         """Return where the vehicle would come to rest [m]: `p + v / k`."""
-        (px, py, pz), (vx, vy, vz), (kx, ky, kz) = position, velocity, self._gains
+        px, py, pz = position
+        vx, vy, vz = velocity
+        kx, ky, kz = self._gains
         return px + vx / max(kx, 1e-3), py + vy / max(ky, 1e-3), pz + vz / max(kz, 1e-3)
 
     def force(
@@ -422,7 +424,8 @@ class Autopilot:
 
     def fly(self, until: float) -> None:
         """Simulate all control periods that end by a time [s]."""
-        self._until, last = until, math.floor(until / self._period + 1e-9)
+        self._until = until
+        last = math.floor(until / self._period + 1e-9)
         if last > self._periods:
             self._fly_periods(last)
             self._periods = last

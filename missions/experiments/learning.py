@@ -94,9 +94,9 @@ def learn(runs: Runs, model: Model) -> list[Learned]:
     for name, events in runs.items():
         for event in events:
             if event.verb == "request_action" and event.subject not in model.actions:
-                known = ", ".join(model.actions)
+                names = ", ".join(model.actions)
                 what = f"in {name} {event.subject} is done, which is no action of {model.name}"
-                raise MissionError(f"{what}: {known}")
+                raise MissionError(f"{what}: {names}")
     learned: list[Learned] = []
     for attribute in model.attributes.values():
         learned += _rates(attribute, [_slopes(events, attribute) for events in runs.values()])

@@ -48,7 +48,7 @@ code { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: 12px
 """
 """The look of the page of a run, see `missions/views/page/src/theme.css`."""
 HEADLINES: Final = {SEARCH: "search time [s]", "distance_inspected_m": "distance inspected [m]"}
-NONE: Final = "-"
+NONE = "-"
 LEAST_RUNS: Final = 5
 """Fewer runs have no interval and are not compared: it would say nothing."""
 METHOD: Final = (
@@ -122,10 +122,10 @@ def write_report(results: Results, folder: Path, *, figures: Sequence[str] = ())
     name = results.campaign.name
     if not parts:
         raise MissionError(f"there is nothing to report of {name}: no run is done without a crash")
-    known = dict.fromkeys(figure for part in parts for figure in part.figures)
+    existing = dict.fromkeys(figure for part in parts for figure in part.figures)
     for figure in figures:
-        if figure not in known:
-            raise MissionError(f"no run has a figure {figure!r}; there are {', '.join(known)}")
+        if figure not in existing:
+            raise MissionError(f"no run has a figure {figure!r}; there are {', '.join(existing)}")
     document = Document(f"Campaign {name}")
     done = f"{len(results.outcomes)} of {results.campaign.size} runs are done"
     document.parts.append(f"{done}, {len(crashed)} of them crashed.")
@@ -149,8 +149,8 @@ def write_report(results: Results, folder: Path, *, figures: Sequence[str] = ())
 
 
 def _add_comparison(document: Document, comparison: Comparison, asked: Sequence[str]) -> None:
-    known = [name for name in asked or HEADLINES if name in comparison.figures]
-    names = known or comparison.figures[:2]
+    chosen = [name for name in asked or HEADLINES if name in comparison.figures]
+    names = chosen or comparison.figures[:2]
     headlines = {name: HEADLINES.get(name, name) for name in names}
     _add_headlines(document, comparison, headlines)
     stem = re.sub(r"\W+", "_", comparison.title).strip("_")

@@ -68,10 +68,14 @@ class Causes:
         while not senses.asked <= keys:
             keys |= senses.asked
             is_satisfiable = succeeds(keys)
-        made = {key: self._predicates(key, kb, senses) for key in keys}
-        is_free = succeeds({key for key in keys if not made[key]})
+        brought_by_key = {key: self._predicates(key, kb, senses) for key in keys}
+        is_free = succeeds({key for key in keys if not brought_by_key[key]})
         senses.asked, senses.holding = set(), frozenset()
-        return frozenset().union(*made.values()) if is_satisfiable and not is_free else frozenset()
+        return (
+            frozenset().union(*brought_by_key.values())
+            if is_satisfiable and not is_free
+            else frozenset()
+        )
 
     def _predicates(self, key: str, kb: KnowledgeBase, senses: Senses) -> Predicates:
         """Return the predicates that a percept makes true and that some action brings about."""

@@ -1,21 +1,24 @@
 """Verify a mission: explore it, check what must hold, and report with stories."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from py_trees.behaviour import Behaviour
+from py_trees.composites import Parallel, Selector
+from py_trees.composites import Sequence as SequenceNode
+from py_trees.decorators import Decorator
 
 from kb import Event, KnowledgeBase, Model
 from missions.engine.mission import Mission, MissionError
 from missions.engine.task_layer import build_task
-from missions.proof.advice import mends
 from missions.proof.environment import Change
 from missions.proof.exploration import Exploration
 from missions.proof.properties import Finding, check, notes
-from missions.proof.rig import Rig, Step
+from missions.proof.rig import Rig, Step, acting
 from missions.proof.setup import Senses, Setup, causes_of
+from rosa_bt import HasStatus, IsActionFeasible, RosaAction, do_until_unfeasible
 
 
 class Consequence(NamedTuple):
@@ -177,7 +180,7 @@ def prove(setup: Setup, *, suggest: bool = False) -> Proof:
     explored = Exploration(setup).explore()
     findings = check(explored)
     is_broken = any(finding.holds is False for finding in findings)
-    for text, mended in mends(setup) if suggest and is_broken else ():
+    for text, mended in _mends(setup) if suggest and is_broken else ():
         if all(finding.holds for finding in check(Exploration(mended).explore())):
             advice = {True: "", False: text, None: ""}
             findings = [replace(each, advice=advice[each.holds]) for each in findings]
@@ -219,3 +222,68 @@ def _consequence(explored: Exploration, bad: Change, caused: set[int]) -> Conseq
         reaches = "the goal if it happens later"
     actions = {name for number in within for name in explored.seen[number].required}
     return Consequence(str(bad), reaches, sorted(actions))
+
+
+# -------------------------------------------------------------------- idioms that mend a tree
+
+Mend = Callable[[Behaviour], Behaviour]
+"""Changes a node; returns it, or what comes in its place."""
+
+
+def _mends(setup: Setup) -> Iterator[tuple[str, Setup]]:
+    """Yield what could be written instead, in words, with the setup of the mended tree."""
+    for place, node in enumerate(Rig(setup).nodes):
+        for text, mend in _idioms(node):
+
+            def build(
+                kb: KnowledgeBase, senses: Senses, place: int = place, mend: Mend = mend
+            ) -> Behaviour:
+                nodes = [*setup.build(kb, senses).iterate()]
+                old = nodes[place]
+                parent = old.parent
+                new = mend(old)
+                new.parent = parent
+                if parent is None:
+                    return new
+                parent.children[parent.children.index(old)] = new
+                if isinstance(parent, Decorator):
+                    parent.decorated = new
+                return nodes[-1]
+
+            yield text, replace(setup, build=build)
+
+
+def _idioms(node: Behaviour) -> Iterator[tuple[str, Mend]]:
+    """Yield the idioms that can be applied to a node."""
+    if isinstance(node, RosaAction) and node.even_if_unfeasible:
+        yield f"drop even_if_unfeasible=True of {node.name}", _changed(even_if_unfeasible=False)
+    if isinstance(node, HasStatus) and node.element.name in node.kb.actions:
+        yield f"write IsActionFeasible for {node.name}", _ask
+    if isinstance(node, Selector | Parallel) and len(node.children) == 2:
+        parts = [acting(child.iterate()) for child in node.children]
+        if all(parts):
+            task, other = (part[0].name for part in parts)
+            text = f"write do_until_unfeasible({task}, {other}) in place of {node.name}"
+            yield text, _do_until_unfeasible
+    if isinstance(node, Selector | SequenceNode) and node.memory:
+        yield f"write memory=False in {node.name}", _changed(memory=False)
+
+
+def _changed(**attributes: bool) -> Mend:
+    def mend(node: Behaviour) -> Behaviour:
+        vars(node).update(attributes)
+        return node
+
+    return mend
+
+
+def _ask(node: Behaviour) -> Behaviour:
+    assert isinstance(node, HasStatus)
+    return IsActionFeasible(node.name, node.kb, node.element.name)
+
+
+def _do_until_unfeasible(node: Behaviour) -> Behaviour:
+    task, other = (acting(child.iterate())[0] for child in node.children)
+    task.parent = None
+    other.parent = None
+    return do_until_unfeasible(task, other, name=node.name)

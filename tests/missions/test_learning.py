@@ -23,7 +23,7 @@ def about(learned, kind, words):
     return next(each for each in learned if each.kind == kind and each.about.startswith(words))
 
 
-def test_learn_from_eight_runs_holds_the_true_rate_and_names_what_is_stated():
+def test_learn_finds_the_true_rate_and_names_the_stated_one():
     model = find_mission("suave_extended").model()
     model.attributes["battery_level"].changes(-0.01)
     learned = learn(logs("suave_extended", 4, discharge_time_s=170), model)
@@ -87,6 +87,6 @@ def test_learn_command_reads_recordings_and_campaigns(tmp_path, capsys, monkeypa
         (("learn", "nothing.mcap", "--model", "suave_extended"), "nothing.mcap"),
         (("learn", "run.mcap", "--model", "uav"), "no action of uav"),
     ):
-        code, _, said = called(capsys, monkeypatch, *wrong)
+        code, _, err = called(capsys, monkeypatch, *wrong)
         assert code != 0
-        assert words in said
+        assert words in err

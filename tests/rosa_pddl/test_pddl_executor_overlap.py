@@ -12,9 +12,9 @@ from rosa_pddl import (
     PlanningResult,
     Problem,
     TimedStep,
+    flaw,
     initial_state,
     parse_domain,
-    schedule_flaw,
 )
 from rosa_pddl.plan_monitor import PlanExecution
 from rosa_pddl.validate import StepEvent
@@ -132,7 +132,7 @@ def test_a_schedule_that_the_judge_accepts_can_be_executed_in_whatever_order_it_
         for name, words, at_s, took_s in listed
     ]
     state = initial_state(cellar)
-    assert schedule_flaw(cellar, schedule, state) is None
+    assert flaw(cellar, schedule, state) is None
     steps = tuple(timed.step for timed in schedule)
     plan = PlanExecution.of(
         cellar, PlanningResult(Outcome.SOLVED, steps, schedule=tuple(schedule)), ()
@@ -168,7 +168,7 @@ def test_a_step_waits_for_what_is_over_at_once_and_provides_what_it_needs_all_th
     took_s = {"switch_on": 0.0, "mend": duration}
     schedule = tuple(TimedStep(lamp.step(name, ()), 0.0, took_s[name]) for name in names)
     state = initial_state(lamp)
-    assert schedule_flaw(lamp, schedule, state) is None
+    assert flaw(lamp, schedule, state) is None
     steps = tuple(timed.step for timed in schedule)
     plan = PlanExecution.of(lamp, PlanningResult(Outcome.SOLVED, steps, schedule=schedule), ())
     assert plan.prediction(lamp, state).flaw is None

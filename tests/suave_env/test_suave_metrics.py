@@ -19,17 +19,17 @@ def test_violation_time_is_the_length_of_the_union(notes):
     violations = Violations()
     now = 0.0
     expected = 0.0
-    held = set()
+    open_kinds = set()
     missed = 0
     for gap, kind, holds, corrected in notes:
-        expected += gap if held else 0.0
+        expected += gap if open_kinds else 0.0
         now += gap
-        if kind in held and not holds:
+        if kind in open_kinds and not holds:
             missed += not corrected
-        held = held | {kind} if holds else held - {kind}
+        open_kinds = open_kinds | {kind} if holds else open_kinds - {kind}
         violations.note(now, kind, holds, corrected)
         assert violations.seconds(now) == pytest.approx(expected)
-        assert violations.uncorrected == missed + len(held)
+        assert violations.uncorrected == missed + len(open_kinds)
 
 
 def test_violations_last_until_they_are_seen_to():
