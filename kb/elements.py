@@ -112,8 +112,8 @@ def _number(words: str, low: float, high: float, *, can_change: bool = True) -> 
 
     def check(field: str, name: str, value: object) -> float:
         is_fitting = is_number(value) and low <= value <= high
-        if is_fitting and not _MOST < abs(value) < math.inf:  # type: ignore[arg-type]  # a number
-            return float(value)  # type: ignore[arg-type]  # a number
+        if is_fitting and not _MOST < abs(value) < math.inf:  # type: ignore[arg-type]  # it is a number
+            return float(value)  # type: ignore[arg-type]  # it is a number
         raise ModelError(f"{words.format(field=field, name=name)}, not {shown(value)}")
 
     return Field(check, can_change)

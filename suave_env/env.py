@@ -93,11 +93,14 @@ class SuaveEnv:
         self._search_time: float | None = None
         self._guided = phases[7] * settings.guided_period_s
         self._disturbances: list[tuple[float, str]] = []
-        self._violations, self._reactions = Violations(), Reactions(settings.spiral_altitude_m)
-        self._agenda, self._outbox = Agenda(), Outbox(self._reactions.hear)
+        self._violations = Violations()
+        self._reactions = Reactions(settings.spiral_altitude_m)
+        self._agenda = Agenda()
+        self._outbox = Outbox(self._reactions.hear)
         self._battery_level = 1.0
         self._recharges = 0
-        self._water, self._thrusters = Water(settings), Thrusters(settings)
+        self._water = Water(settings)
+        self._thrusters = Thrusters(settings)
         self.pipeline = Pipeline(settings)
         self.station = (settings.station_x_m, settings.station_y_m)
         self._vehicle = Vehicle(
@@ -112,7 +115,8 @@ class SuaveEnv:
         nodes = (self._spiral, self._follower, recover, recharge)
         self.components = Components(nodes, lambda: self.now, self._autopilot.hold, self._switched)
         self._visibility: float | None = None  # as published last [m]
-        self._whole_periods, self._thruster_news = 0, list[tuple[int, str]]()
+        self._whole_periods = 0
+        self._thruster_news = list[tuple[int, str]]()
         self._enter_timers(phases, recharge)
         self._enter_disturbances()
 

@@ -135,7 +135,9 @@ def _turned(angle: float, centre: tuple[float, float]) -> list[tuple[float, floa
     """Return the vertices turned to the left by an angle [rad] about a centre [m]."""
     if not angle:
         return list(VERTICES_M)  # to the bit
-    cos, sin, (x, y) = math.cos(angle), math.sin(angle), centre
+    cos = math.cos(angle)
+    sin = math.sin(angle)
+    x, y = centre
     return [
         (x + cos * (a - x) - sin * (b - y), y + sin * (a - x) + cos * (b - y))
         for a, b in VERTICES_M

@@ -62,9 +62,8 @@ class Settings:
     """The constants of the sea, the vehicle and the mission; frozen, so change them with `replace`.
 
     Frames: world frame ENU, z up, surface at z = 0. Times [s] count from GUIDED, the moment at
-        which the vehicle obeys.
-    By default the rules are those of SUAVE v1.3.0 of 2024; `replace(rules="2025")` takes those of
-    2025 (`RULES`).
+    which the vehicle obeys. By default the rules are those of SUAVE v1.3.0 of 2024;
+    `replace(rules="2025")` takes those of 2025 (`RULES`).
     """
 
     rules: str = _setting("rules")
@@ -237,7 +236,7 @@ def parse_thruster_events(text: str, chained: bool = False) -> tuple[ThrusterEve
     """
     events = list[ThrusterEvent]()
     time = 0.0
-    for part in filter(None, (" ".join(one.split()) for one in text.split(","))):
+    for part in filter(None, (" ".join(words.split()) for words in text.split(","))):
         read = _EVENT.fullmatch(part)
         if read is None:
             example = '"1 failure 35, 1 recovery 90"'

@@ -43,8 +43,7 @@ class Thrusters:
     """Shares a wanted force among the thrusters; the mixer knows nothing of failures.
 
     A failed thruster is frozen at its last output: with its servo function set to 0, ArduPilot
-        stops writing the
-    channel, and the simulated motor keeps pushing (kas-lab/suave v1.3.0).
+    stops writing the channel, and the simulated motor keeps pushing (kas-lab/suave v1.3.0).
 
     Attributes:
         outputs: Thrusts [N] of thrusters 1 to 6, positive along the direction of each in the model.
@@ -128,7 +127,7 @@ class Vehicle:
     Drag along each body axis is `-D |v| v` without added mass or linear damping, as in
     clydemcqueen/bluerov2_ignition. It is an actuator whose force is `-D v ctrl`, with `ctrl = |v|`
     at the start of a control period: MuJoCo treats `v` implicitly, so drag can only take energy
-        out.
+    out.
 
     Args:
         settings: Mass, inertia, buoyancy, drag, thrust limit and the physics step.
@@ -330,7 +329,9 @@ class Guidance:
 
     def stopping_point(self, position: Vector, velocity: Vector) -> Vector:
         """Return where the vehicle would come to rest [m]: `p + v / k`."""
-        (px, py, pz), (vx, vy, vz), (kx, ky, kz) = position, velocity, self._gains
+        px, py, pz = position
+        vx, vy, vz = velocity
+        kx, ky, kz = self._gains
         return px + vx / max(kx, 1e-3), py + vy / max(ky, 1e-3), pz + vz / max(kz, 1e-3)
 
     def force(
@@ -422,7 +423,8 @@ class Autopilot:
 
     def fly(self, until: float) -> None:
         """Simulate all control periods that end by a time [s]."""
-        self._until, last = until, math.floor(until / self._period + 1e-9)
+        self._until = until
+        last = math.floor(until / self._period + 1e-9)
         if last > self._periods:
             self._fly_periods(last)
             self._periods = last

@@ -85,7 +85,8 @@ class Route:
         ]
         believed = (self.at, self.inside, *failed, *self._light.items())
         if self._answer is None or believed != self._believed:
-            self._believed, self._answer = believed, self._planner.plan(self.question)
+            self._believed = believed
+            self._answer = self._planner.plan(self.question)
         return self._answer
 
     @property
@@ -349,7 +350,8 @@ class PddlNames:
     """
 
     def __init__(self, building: Building, modes: Iterable[Mode], limited: Iterable[str]) -> None:
-        self.building, self.limited = building, tuple(limited)
+        self.building = building
+        self.limited = tuple(limited)
         self._taken = {SWITCH}
         corridors = building.corridors.values()
         self.actions = {name: self._distinct(f"cross_{name}") for name in building.corridors}
@@ -492,7 +494,8 @@ class PlanningState:
         Updated with `Route.revision`, not with every metre and joule.
         """
         if self._revision != self.route.revision:
-            self._revision, self._facts = self.route.revision, self.pddl.facts(self.route.task)
+            self._revision = self.route.revision
+            self._facts = self.pddl.facts(self.route.task)
         return self._facts
 
     def cross(self, step: Step) -> Cross:

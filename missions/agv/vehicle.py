@@ -218,11 +218,14 @@ class Vehicle:
 
         Return what it sees or has seen lately near by, (n, 2) [m], vehicle's frame.
         """
-        yaw, here, (offsets, reach_m) = self.yaw, self.position, _RAYS[sensor]
+        yaw = self.yaw
+        here = self.position
+        offsets, reach_m = _RAYS[sensor]
         angles = yaw + offsets
         count = len(offsets)
         rays = np.zeros((count, 3))
-        rays[:, 0], rays[:, 1] = np.cos(angles), np.sin(angles)
+        rays[:, 0] = np.cos(angles)
+        rays[:, 1] = np.sin(angles)
         origin = np.array([*here.tolist(), 0.2])
         hit = np.zeros(count, dtype=np.int32)
         far = np.zeros(count)

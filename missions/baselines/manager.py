@@ -69,7 +69,8 @@ class Robot:
         self.is_active = managed.is_active
         self.set_parameters = managed.set_parameters
         self.parameters = managed.parameters
-        self._world, self.agenda = world, Agenda()
+        self._world = world
+        self.agenda = Agenda()
 
     @property
     def now(self) -> float:
@@ -308,7 +309,8 @@ class BaselineRun(MissionRun):
         changes = self._changes
         said = [(task.start, f"{task.action} is begun") for task in tasks[self._tasks_reported :]]
         said += [(change.time, str(change)) for change in changes[self._changes_reported :]]
-        self._tasks_reported, self._changes_reported = len(tasks), len(changes)
+        self._tasks_reported = len(tasks)
+        self._changes_reported = len(changes)
         for time, text in sorted(said):
             for listener in self.listeners:
                 listener.action(text, time)

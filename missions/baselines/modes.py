@@ -74,7 +74,8 @@ class SystemModes:
 
     def request(self, function: str, mode: str) -> None:
         """Request a mode; ignored if it is the one requested last."""
-        before, (component, modes) = self._requested.get(function), FUNCTIONS[function]
+        before = self._requested.get(function)
+        component, modes = FUNCTIONS[function]
         if mode == before:
             return
         had = modes[before] if before else None

@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
 from math import inf
-from typing import Any, Final, NamedTuple
+from typing import NamedTuple
 
 from py_trees.behaviour import Behaviour
 
@@ -21,9 +21,8 @@ from kb.status import OPERATORS
 from missions.proof.setup import Setup
 from rosa_bt.behaviours import HasStatus, Measurement
 
-STALE: Final = "stale"
-Value = float | str | None
-"""What was measured last; STALE if that is too old, None if nothing was measured."""
+Value = float | None
+"""What was measured last; None if nothing was measured, or if that is too old."""
 Signature = frozenset[object]
 """What a value violates: elements of the model, and comparisons of the tree."""
 
@@ -47,9 +46,8 @@ class Change(NamedTuple):
     def __str__(self) -> str:
         if isinstance(self.to, bool):
             return f"{self.name} {'fails' if self.to else 'recovers'}"
-        return (
-            f"{self.name} is stale" if self.to == STALE else f"{self.name} is measured {self.to:g}"
-        )
+        is_stale = self.to is None
+        return f"{self.name} is stale" if is_stale else f"{self.name} is measured {self.to:g}"
 
     def apply(self, kb: KnowledgeBase) -> None:
         """Let it happen."""
@@ -60,7 +58,7 @@ class Change(NamedTuple):
         elif isinstance(self.to, float):
             kb.measure(self.name, self.to)
         else:
-            kb.replay(Event(kb.log.last + 1, kb.now, STALE, (self.name,)))
+            kb.replay(Event(kb.log.last + 1, kb.now, "stale", (self.name,)))
 
 
 def without_debouncing(model: Model) -> Model:
@@ -120,10 +118,8 @@ class Environment:
         if setup.symmetric:
             self.alike = _alike(kb, components, named)
 
-    def signature(self, name: str, value: Value) -> Signature:
-        """Return what a value of an attribute violates; what is not measured violates nothing."""
-        if not isinstance(value, float):
-            return frozenset({value} if value == STALE or name in self.read else ())
+    def signature(self, name: str, value: float) -> Signature:
+        """Return what a value of an attribute violates."""
         compared = self._compared[name]
         return frozenset(who for who, how, limit in compared if not OPERATORS[how](value, limit))
 
@@ -135,9 +131,9 @@ class Environment:
         """Yield what can happen next, beginning with nothing, and the facts after it."""
         yield (), facts
         for place, (name, present) in enumerate(facts.values):
-            options: list[Any] = [value for value in self.values[name] if value != present]
-            if name in self.ageing and present not in (None, STALE):
-                options.append(STALE)
+            options: list[Value] = [value for value in self.values[name] if value != present]
+            if name in self.ageing and present is not None:
+                options.append(None)
             for value in options:
                 values = [*facts.values]
                 values[place] = (name, value)

@@ -7,7 +7,6 @@ from typing import Final, NamedTuple
 from py_trees.behaviour import Behaviour
 from py_trees.composites import Sequence as SequenceNode
 
-from missions.proof.environment import STALE
 from missions.proof.exploration import Exploration, Round, Wrong
 from missions.proof.rig import Step, acting
 from missions.proof.setup import Predicate
@@ -179,8 +178,7 @@ def _before(node: Behaviour) -> Iterator[str]:
 
 def _waits(explored: Exploration, number: int, alive: set[int]) -> bool:
     """Tell whether it goes on when a part recovers or a fact changes that changes by itself."""
-    values = dict(explored.situations[number].facts.values).values()
-    if None in values or STALE in values:
+    if None in dict(explored.situations[number].facts.values).values():
         return True
     rig = explored.rig
     for each in explored.rounds[number]:

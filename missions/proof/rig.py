@@ -26,7 +26,6 @@ from kb.elements import AttributeKind
 from missions.engine.components import VERBS
 from missions.engine.mission import Condition
 from missions.proof.environment import (
-    STALE,
     Change,
     Environment,
     Facts,
@@ -281,7 +280,7 @@ class Rig(VisitorBase):
         values = []
         for name in self.environment.values:
             view = kb.attributes[name]
-            value = STALE if view.is_stale else view.value
+            value = None if view.is_stale else view.value
             values.append((name, value))
         components = kb.components.items()
         selectable = [*kb.designs.values(), *kb.configurations.values()]

@@ -157,10 +157,9 @@ def attitude(quaternion: Sequence[float], rates: Vector, force: Vector) -> tuple
     w, i, j, k = quaternion
     east, north, up = force
     size = math.sqrt(east * east + north * north + up * up)
-    nose, aside = (
-        1 - 2 * (j * j + k * k),
-        2 * (i * j + w * k),
-    )  # of the body's x axis, to the east and to the north
+    # the body's x axis, to the east and to the north
+    nose = 1 - 2 * (j * j + k * k)
+    aside = 2 * (i * j + w * k)
     thrust = (
         2 * (i * k + w * j) * east + 2 * (j * k - w * i) * north + (1 - 2 * (i * i + j * j)) * up
     )
@@ -344,7 +343,8 @@ class Quadrotor:
         return self._target is None and not any(thrusts)
 
     def _thrusts(self, step_s: float) -> list[float]:
-        settings, (u, v, w) = self._settings, self.velocity
+        settings = self._settings
+        u, v, w = self.velocity
         east, north, up = velocity_wanted(
             self.position, self._aim(), settings.speed_m_s, settings.climb_m_s
         )
@@ -361,7 +361,9 @@ class Quadrotor:
     def _aim(self) -> Vector:
         """Return the point to fly to now: first up, then along, then down."""
         assert self._target is not None
-        (x, y, z), (to_x, to_y, _), cruise = self.position, self._target, self._settings.cruise_m
+        x, y, z = self.position
+        to_x, to_y, _ = self._target
+        cruise = self._settings.cruise_m
         if math.hypot(to_x - x, to_y - y) <= STRAIGHT_M:
             return self._target
         is_low = z - ON_GROUND_M < cruise - 2.0

@@ -384,7 +384,8 @@ class Nodes(NamedComponents):
 
     def _search(self) -> None:
         """Fly along the lanes."""
-        robot, (x, y) = self._robot, self._ahead[0]
+        robot = self._robot
+        x, y = self._ahead[0]
         robot.vehicle.go_to((x, y, ON_GROUND_M + robot.settings.cruise_m))
         if dist((x, y), robot.vehicle.position[:2]) < 1.0:
             self._ahead = self._ahead[1:] or robot.path

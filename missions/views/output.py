@@ -52,7 +52,8 @@ class OutputFile:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path, self._parts = path, list[bytes]()
+        self._path = path
+        self._parts = list[bytes]()
         with files_tried(f"write {path}"):
             if path.is_dir():
                 raise IsADirectoryError("it is a directory; name a file in it")

@@ -349,7 +349,8 @@ class _TreeRows(VisitorBase):
         self._planning: list[Behaviour] = []
         self._ticked: dict[Behaviour, tuple[str, str]] = {}
         self._raised: set[Behaviour] = set()
-        self._count, self._numbers = 0, count()
+        self._count = 0
+        self._numbers = count()
         self.about: dict[int, list[int]] = {}
         self._describe()
         tree.add_visitor(self)
