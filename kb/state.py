@@ -380,9 +380,8 @@ class State:
             self.next_due, _, what, node = min(dues, default=(NEVER, 0, "", None))
             if node is None or now < self.next_due:
                 return None
-            if what != "dwell" or self.judged(node, self.next_due)[0].status is not self.verdict(
-                node
-            ):
+            status = self.judged(node, self.next_due)[0].status if what == "dwell" else None
+            if what != "dwell" or status is not self.verdict(node):
                 return self.next_due, what, node
             self._judge(node, self.next_due)
         return None

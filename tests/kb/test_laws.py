@@ -10,7 +10,7 @@ from pathlib import Path
 from clocks import Clock
 from hypothesis import settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from interrupting import interrupted_at, is_free
 from kept import stored
 from models import NUMBERS, Twins, events, models
@@ -60,11 +60,13 @@ class Laws(RuleBasedStateMachine):
     @initialize(model=models(aging=True, debounced=True))
     def begin(self, model):
         self.folder = tempfile.TemporaryDirectory()
+        self.openings = 0
         self.path = Path(self.folder.name, "log.sqlite3")
         self.twins = Twins(model)
         self.twins.kb = self.opened()
 
     def opened(self):
+        self.openings += 1
         return KnowledgeBase(self.twins.model, clock=self.twins.clock, store=self.path, keep=KEPT)
 
     @rule(data=st.data())
@@ -102,6 +104,7 @@ class Laws(RuleBasedStateMachine):
         if is_in and not is_refused:
             record(ByName(twins), what, *arguments)
 
+    @precondition(lambda self: self.openings < 3)
     @rule()
     def reopen(self):
         """A store that is closed and opened has all that was known."""

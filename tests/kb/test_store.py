@@ -103,7 +103,7 @@ def test_history_is_bounded_by_keep(tmp_path):
 
 def test_burst_is_saved_whole(tmp_path):
     kb = meter(tmp_path / "log")
-    for number in range(60_000):
+    for number in range(30_000):
         kb.measure("level", float(number))
     assert kb.flush(120)
     assert kb.store.error is None
