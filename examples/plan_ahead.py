@@ -55,7 +55,8 @@ class Look(RosaAction):
 
     def update(self) -> Status:
         """Go on; called at each tick."""
-        is_over = self.base.now - self.began >= domain.schema_of[self.step.schema].duration[0]
+        shortest_s, _ = domain.schema_of[self.step.schema].duration or (0.0, 0.0)
+        is_over = self.base.now - self.began >= shortest_s
         return Status.SUCCESS if is_over else Status.RUNNING
 
     def terminate(self, new_status: Status) -> None:

@@ -58,7 +58,7 @@ class UnknownName(KnowledgeBaseError, KeyError):
         likely = (
             names
             if len(names) <= _MANY
-            else [one for one in names if one.casefold().startswith(begin)]
+            else [name for name in names if name.casefold().startswith(begin)]
         )
         near = get_close_matches(str(name), likely, n=3)
         if near:

@@ -30,7 +30,9 @@ class ModelFileError(ModelError):
     def __init__(
         self, message: str, file: str, line: int | None = None, column: int | None = None
     ) -> None:
-        self.file, self.line, self.column = file, line, column
+        self.file = file
+        self.line = line
+        self.column = column
         super().__init__(
             f"{file}: {message}" if line is None else f"{file}:{line}:{column}: {message}"
         )

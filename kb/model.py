@@ -9,8 +9,7 @@
     model.action("explore", requires=[see], constraints=[light >= 0.05])
 
 A name is unique within its kind, not across kinds. Elements refer to one another by name. A model
-can be changed while
-knowledge bases use it: the next question to them sees the change.
+can be changed while knowledge bases use it: the next question to them sees the change.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence

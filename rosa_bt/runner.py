@@ -7,14 +7,13 @@ from typing import Any, Literal
 from weakref import WeakSet
 
 from py_trees.behaviour import Behaviour
-from py_trees.behaviours import Failure, Running, Success
 from py_trees.common import Duration, Status
 from py_trees.composites import Selector, Sequence
 from py_trees.trees import BehaviourTree
 from py_trees.visitors import VisitorBase
 
 from kb import KnowledgeBase
-from rosa_bt.behaviours import GuardedBehaviour, KbBehaviour, RosaAction, halt
+from rosa_bt.behaviours import KbBehaviour, RosaAction, halt
 from rosa_bt.decorators import Clock, ForAction, follow_clock
 from rosa_bt.display import svg_tree
 from rosa_bt.exceptions import ClockError, on_error, report
@@ -30,11 +29,6 @@ from rosa_bt.requests import (
 
 _log = logging.getLogger(__name__)
 Handler = Callable[[BehaviourTree], None]
-
-_HARMLESS = frozenset({Failure, Running, Selector, Sequence, Success})
-"""Classes that raise nothing; their subclasses may."""
-_CAREFUL = (KbBehaviour, RosaAction, ForAction)
-"""Classes that handle exceptions, unless a subclass overrides that."""
 
 
 class GuardedTree(BehaviourTree):
@@ -168,8 +162,7 @@ class GuardedTree(BehaviourTree):
         follow_clock(behaviour, self._clock)
         if isinstance(behaviour, KbBehaviour | ForAction):
             self._bases[behaviour.kb] = None
-        needs_guard = behaviour is self.root or not _is_trusted(behaviour)
-        if needs_guard and behaviour not in _guarded:
+        if behaviour not in _guarded:
             _guard(behaviour)
         if self._setup_arguments is not None:
             try:
@@ -181,19 +174,6 @@ class GuardedTree(BehaviourTree):
 def _difference(nodes: list[Behaviour], others: list[Behaviour]) -> list[Behaviour]:
     excluded = set(others)
     return [node for node in nodes if node not in excluded]
-
-
-def _is_trusted(behaviour: Behaviour) -> bool:
-    """Tell whether a behaviour needs no guard.
-
-    With a guard for each, a tick takes a third longer.
-    """
-    kind = type(behaviour)
-    if kind in _HARMLESS:
-        return True
-    if kind.tick is not GuardedBehaviour.tick:
-        return False
-    return any(issubclass(kind, careful) and kind.stop is careful.stop for careful in _CAREFUL)
 
 
 class _EndedBadly(Exception):

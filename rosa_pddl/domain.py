@@ -392,24 +392,20 @@ class Domain:
                 raise UnknownNameError(f"{message} {fitting}")
         return atom_text(predicate, arguments)
 
-    @cached_property
-    def _spellings(self) -> Mapping[str, Mapping[str, str]]:
-        names = {
-            "predicate": [each.name for each in self.signatures.values()],
-            "object": list(self.types),
-            "type": [name for name, _ in self.kinds.values()],
-            "action": list(self.schema_of),
-        }
-        return {kind: {name.lower(): name for name in each} for kind, each in names.items()}
-
     def spelling(self, kind: str, word: str, text: str) -> str:
         """Return a predicate, object, type or action as the files spell it; errors quote `text`."""
-        spellings = self._spellings[kind]
-        if word.lower() not in spellings:
+        names: Mapping[str, Iterable[str]] = {
+            "predicate": [each.name for each in self.signatures.values()],
+            "object": self.types,
+            "type": [name for name, _ in self.kinds.values()],
+            "action": self.schema_of,
+        }
+        spelled = {name.lower(): name for name in names[kind]}
+        if word.lower() not in spelled:
             error = UnknownObjectError if kind == "object" else UnknownNameError
-            hint = nearest(word, spellings.values())
+            hint = nearest(word, names[kind])
             raise error(f"{self.file} has no {kind} {word!r} (in {text!r}); {hint}")
-        return spellings[word.lower()]
+        return spelled[word.lower()]
 
 
 def with_object(domain: Domain, name: str, type_name: str) -> Domain:

@@ -13,7 +13,6 @@ from rosa_pddl.domain import (
     PlannerSettingError,
     PlanningBudgetError,
     State,
-    Step,
     UnsupportedPddlError,
     names_in,
 )
@@ -36,7 +35,7 @@ from rosa_pddl.problem import (
     Problem,
 )
 from rosa_pddl.search import CapReached, Grounded
-from rosa_pddl.validate import TimedStep, flaw, step_costs, takes_s
+from rosa_pddl.validate import TimedStep, flaw, plan_cost, takes_s
 
 SEARCH = "search"
 """The strategy that is the exact search in this process."""
@@ -377,7 +376,10 @@ class _Planning:
         outcome = answer.outcome
         tried = tuple(attempts)
         if outcome.is_solved:
-            cost = self._cost(answer.steps)
+            problem = self._problem
+            cost = None
+            if not domain.only_planned:
+                cost = plan_cost(domain, answer.steps, problem.state, problem.costs)
             return replace(answer, engine=strategy, cost=cost, attempts=tried, message="")
         message = f"{strategy}: {outcome}"
         is_sequential = not self._planner.overlapping
@@ -388,16 +390,6 @@ class _Planning:
         if outcome.is_trouble:
             message = "; ".join(map(str, attempts))
         return PlanningResult(outcome, (), strategy, message, attempts=tried)
-
-    def _cost(self, steps: Sequence[Step]) -> float | None:
-        if self._domain.only_planned:
-            return None
-        total = 0.0
-        for cost in step_costs(self._domain, steps, self._problem.state, self._problem.costs):
-            if cost is None:
-                return None
-            total += cost
-        return total
 
 
 def _may_have_to_overlap(domain: Domain) -> bool:

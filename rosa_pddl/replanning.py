@@ -1,7 +1,7 @@
 """Asks the planner for plans, and finds out why there is none."""
 
 import logging
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from math import inf
@@ -58,7 +58,7 @@ class Goals:
         self._goals: dict[str, Goal] = {}
         self.version = 0
         for text in domain.goals:
-            self._goals |= {goal.text: goal for goal in self._read(text)}
+            self._goals |= self._read(text)
 
     @property
     def hard(self) -> tuple[Goal, ...]:
@@ -86,8 +86,7 @@ class Goals:
         if worth is not None and not (isinstance(worth, Real) and 0.0 < worth < inf):
             message = f"{text} is worth {worth}, expected more than 0"
             raise GoalError(f"{message}; leave it out if it must be reached")
-        goals = self._goals | {goal.text: goal for goal in self._read(text, worth)}
-        self._set(goals)
+        self._set(self._goals | self._read(text, worth))
 
     def drop(self, text: str) -> None:
         """Remove a goal; each part of a conjunction is removed.
@@ -97,13 +96,16 @@ class Goals:
         """
         goals = dict(self._goals)
         for goal in self._read(text):
-            if goals.pop(goal.text, None) is None:
-                raise GoalError(f"{goal.text} is not among the goals; {nearest(goal.text, goals)}")
+            if goals.pop(goal, None) is None:
+                raise GoalError(f"{goal} is not among the goals; {nearest(goal, goals)}")
         self._set(goals)
 
     def replace(self, *texts: str) -> None:
         """Replace all goals by these, which must be reached; raises as `add`."""
-        self._set({goal.text: goal for text in texts for goal in self._read(text)})
+        goals = dict[str, Goal]()
+        for text in texts:
+            goals |= self._read(text)
+        self._set(goals)
 
     def use(self, domain: Domain) -> None:
         """Switch to a domain with other objects; the goals of objects that are gone go, too."""
@@ -120,44 +122,28 @@ class Goals:
     def __iter__(self) -> Iterator[Goal]:
         return iter(tuple(self._goals.values()))
 
-    def _read(self, text: str, worth: float | None = None) -> tuple[Goal, ...]:
+    def _read(self, text: str, worth: float | None = None) -> dict[str, Goal]:
         if not isinstance(text, str):
             message = f"{text!r} is no goal, expected a condition as text"
             raise GoalError(f"{message} such as '(inspected north)'")
-        return conditions(self._domain, text, worth)
+        return {goal.text: goal for goal in conditions(self._domain, text, worth)}
 
 
-class Relevance:
-    """Which atoms a plan or a goal may depend on; it tells predicates apart, not objects."""
-
-    def __init__(self, domain: Domain, goals: Goals) -> None:
-        self._domain = domain
-        self._goals = goals
-        self._seen = -1
-        self._names: set[str] = set()
-
-    def matters(self, atom: str) -> bool:
-        """Whether a plan or a goal may depend on an atom."""
-        if self._seen != self._goals.version:
-            self._seen = self._goals.version
-            self._names = self._needed()
-        return head_of(atom) in self._names
-
-    def _needed(self) -> set[str]:
-        domain = self._domain
-        needed = names_in(goal.expression for goal in self._goals)
-        size = -1
-        while size != len(needed):
-            size = len(needed)
-            for name, axioms in domain.axioms.items():
-                if domain.signatures[name].name in needed:
-                    needed |= names_in(axiom.condition for axiom in axioms)
-            for schema in domain.schema_of.values():
-                if not needed.isdisjoint(effect.name for effect in schema.effects):
-                    needed |= names_in(schema.conditions)
-                    for effect in schema.effects:
-                        needed |= names_in([effect.condition, effect.amount])
-        return needed
+def needed_by(domain: Domain, goals: Iterable[Goal]) -> set[str]:
+    """Return the predicates and numbers on which a plan or a goal may depend."""
+    needed = names_in(goal.expression for goal in goals)
+    size = -1
+    while size != len(needed):
+        size = len(needed)
+        for name, axioms in domain.axioms.items():
+            if domain.signatures[name].name in needed:
+                needed |= names_in(axiom.condition for axiom in axioms)
+        for schema in domain.schema_of.values():
+            if not needed.isdisjoint(effect.name for effect in schema.effects):
+                needed |= names_in(schema.conditions)
+                for effect in schema.effects:
+                    needed |= names_in([effect.condition, effect.amount])
+    return needed
 
 
 # ---------------------------------------------------------------- the policy
@@ -466,7 +452,6 @@ class Replanning:
         self._policy = policy
         self._effects = monitor.effects
         self._clock = client.clock
-        self._matters = Relevance(monitor.effects.domain, goals).matters
         self._last_asked_s = -inf
         self._wanted: tuple[str, int | None] | None = None
         self._diagnosis: tuple[Problem, str, Diagnosis] | None = None
@@ -624,8 +609,10 @@ class Replanning:
 
     def _is_same(self, problem: Problem, state: State) -> bool:
         """Whether a state is that of a problem in everything that a plan may depend on."""
-        is_same_domain = problem.domain is self._effects.domain
-        return is_same_domain and not any(map(self._matters, state ^ problem.state))
+        domain = self._effects.domain
+        changed = {head_of(fact) for fact in state ^ problem.state}
+        is_relevant = changed and not changed.isdisjoint(needed_by(domain, self._goals))
+        return problem.domain is domain and not is_relevant
 
     def _give_up(self, problem: Problem, why: str, until_s: float = inf) -> None:
         """Note that there is no plan.

@@ -287,24 +287,23 @@ def replay(
     begun = frozenset(running)
     left = dict(until or {})
     for moment in moments:
-        late = None
-        for number, _ in moment:
-            if left and late is None:
-                late = _too_late(domain, steps[number], ends_s[number], left, facts)
-        wrong = _happen(domain, steps, moment, facts, begun, left) or late
+        for number, _ in moment if left else ():
+            late = _too_late(domain, steps[number], ends_s[number], left, facts)
+            if late is not None:
+                return late, frozenset(facts)
+        wrong = _happen(domain, steps, moment, facts, begun, left)
+        if wrong is not None:
+            return wrong, frozenset(facts)
         for number, is_end in moment:
             if is_end:
                 under_way.remove(number)
             else:
                 under_way.append(number)
-        for number in under_way if wrong is None else ():
+        for number in under_way:
             over_all = domain.schema_of[steps[number].schema].over_all
             missing = missing_of(domain, over_all, steps[number], facts)
             if missing is not None:
-                wrong = because(domain, steps[number], missing)
-                break
-        if wrong is not None:
-            return wrong, frozenset(facts)
+                return because(domain, steps[number], missing), frozenset(facts)
     return None, frozenset(facts)
 
 
@@ -476,29 +475,21 @@ def takes_s(
     return float(value or 0)
 
 
-def step_costs(
-    domain: Domain,
-    steps: Iterable[Step],
-    state: State,
-    numbers: Mapping[str, float] | None = None,
-    begun: int = 0,
-) -> list[float | None]:
-    """Return what each step costs when its turn comes; None if that is unknown.
-
-    The first `begun` steps run already, so their start effects are in the state.
-    """
-    costs = list[float | None]()
-    for number, step in enumerate(steps):
-        values = Values(domain, state, numbers)
+def plan_cost(
+    domain: Domain, steps: Iterable[Step], state: State, numbers: Mapping[str, float] | None = None
+) -> float | None:
+    """Return what steps that follow one another cost; None if that is unknown."""
+    total = 0.0
+    for step in steps:
         try:
-            cost = values.number(cost_of(domain, step), {})
+            cost = Values(domain, state, numbers).number(cost_of(domain, step), {})
         except UnsearchableError:
-            cost = None
-        costs.append(None if cost is None else float(cost))
-        if domain.computed:
-            before = state if number < begun else started(domain, step, state)
-            state = ended(domain, step, before)
-    return costs
+            return None
+        if cost is None:
+            return None
+        total += float(cost)
+        state = ended(domain, step, started(domain, step, state))
+    return total
 
 
 # ---------------------------------------------------------------- what steps touch

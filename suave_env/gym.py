@@ -40,10 +40,9 @@ class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
     Observation, (9,): the values published last (`OBSERVED`): visibility [m], 0 before the first;
     battery level from 0 to 1; for each thruster 1 if it works and 0 if it has failed; 1 once the
     pipeline is found. Action, (5,): for each of `COMPONENTS` 1 for active and 0 for inactive, then
-    an index into `ALTITUDES_M`.
-    Reward: metres of the pipeline inspected in the step, without SUAVE's reset. An episode is
-        terminated when all of it
-    is inspected, and truncated when the time is up.
+    an index into `ALTITUDES_M`. Reward: metres of the pipeline inspected in the step, without
+    SUAVE's reset. An episode is terminated when all of it is inspected, and truncated when the time
+    is up.
 
     Args:
         duration_s: Time limit of an episode [s].

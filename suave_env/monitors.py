@@ -132,10 +132,9 @@ class Violations:
     """Records violations of the mission's requirements, by the truth.
 
     There are three kinds: the search is active at another altitude than the visibility requires; a
-        thruster is stuck;
-    the battery is below a quarter and the recharge is not active. A violation is corrected if a
-    change of the vehicle ends it; it is uncorrected if it ends because the sea changes back, or
-    lasts to the end.
+    thruster is stuck; the battery is below a quarter and the recharge is not active. A violation is
+    corrected if a change of the vehicle ends it; it is uncorrected if it ends because the sea
+    changes back, or lasts to the end.
     """
 
     def __init__(self) -> None:

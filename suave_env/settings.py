@@ -62,9 +62,8 @@ class Settings:
     """The constants of the sea, the vehicle and the mission; frozen, so change them with `replace`.
 
     Frames: world frame ENU, z up, surface at z = 0. Times [s] count from GUIDED, the moment at
-        which the vehicle obeys.
-    By default the rules are those of SUAVE v1.3.0 of 2024; `replace(rules="2025")` takes those of
-    2025 (`RULES`).
+    which the vehicle obeys. By default the rules are those of SUAVE v1.3.0 of 2024;
+    `replace(rules="2025")` takes those of 2025 (`RULES`).
     """
 
     rules: str = _setting("rules")

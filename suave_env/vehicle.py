@@ -43,8 +43,7 @@ class Thrusters:
     """Shares a wanted force among the thrusters; the mixer knows nothing of failures.
 
     A failed thruster is frozen at its last output: with its servo function set to 0, ArduPilot
-        stops writing the
-    channel, and the simulated motor keeps pushing (kas-lab/suave v1.3.0).
+    stops writing the channel, and the simulated motor keeps pushing (kas-lab/suave v1.3.0).
 
     Attributes:
         outputs: Thrusts [N] of thrusters 1 to 6, positive along the direction of each in the model.
@@ -128,7 +127,7 @@ class Vehicle:
     Drag along each body axis is `-D |v| v` without added mass or linear damping, as in
     clydemcqueen/bluerov2_ignition. It is an actuator whose force is `-D v ctrl`, with `ctrl = |v|`
     at the start of a control period: MuJoCo treats `v` implicitly, so drag can only take energy
-        out.
+    out.
 
     Args:
         settings: Mass, inertia, buoyancy, drag, thrust limit and the physics step.

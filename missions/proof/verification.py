@@ -60,11 +60,13 @@ class Proof:
         """The findings that do not hold."""
         return [finding for finding in self.findings if finding.holds is False]
 
-    def story(self, trail: Iterable[Step], page: Path | None = None) -> list[str]:
+    def story(self, trail: Iterable[Step] | None, page: Path | None = None) -> list[str]:
         """Run the rounds of a finding with the real parts, and say what happens.
 
         With `page`, write a page of it.
         """
+        if trail is None:
+            return []
         rig = Rig(self.setup)
         lines: list[str] = []
 
@@ -126,7 +128,7 @@ class Proof:
         for finding in self.findings:
             verdict = {True: "yes ", False: "NO  ", None: "open"}[finding.holds]
             lines.append(f"{verdict} {finding.name}{f': {finding.what}' if finding.what else ''}")
-            lines += self.story(finding.trail or ())
+            lines += self.story(finding.trail)
             lines += [f"     instead: {finding.advice}"] if finding.advice else []
         return "\n".join([*lines, *(f"note {note}" for note in self.notes)])
 
@@ -134,7 +136,7 @@ class Proof:
         """Return all of it as plain data for JSON."""
         findings = []
         for finding in self.findings:
-            lines = [line.strip() for line in self.story(finding.trail or ())]
+            lines = [line.strip() for line in self.story(finding.trail)]
             findings.append({**vars(finding), "trail": lines})
         return {
             "finished": self.explored.is_finished,

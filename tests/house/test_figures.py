@@ -140,6 +140,36 @@ def test_knowledge_base_is_one_class_with_few_names():
     assert 0 < len(names) <= LIMITS["public names of KnowledgeBase"], names
 
 
+def texts(node):
+    return {
+        ast.unparse(part) for part in ast.walk(node) if isinstance(part, ast.Name | ast.Attribute)
+    }
+
+
+def is_unrelated(assignment):
+    """Whether `a, b = x, y` assigns values that do not mention the names: it is two statements."""
+    target = assignment.targets[0]
+    values = assignment.value
+    if not (isinstance(target, ast.Tuple) and isinstance(values, ast.Tuple)):
+        return False
+    names = {ast.unparse(name) for name in target.elts}
+    return not any(names & texts(value) for value in values.elts)
+
+
+def test_statements_assign_one_value_and_names_say_what_they_hold():
+    """Tuples of constants at the top of a module may share a line, and a docstring."""
+    wrong = []
+    for path, tree in files().items():
+        for node in ast.walk(tree):
+            is_shared = isinstance(node, ast.Assign) and node not in tree.body
+            is_name = isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
+            if is_shared and is_unrelated(node):
+                wrong.append(f"{path}:{node.lineno}: two statements")
+            if is_name and node.id == "one" and path.name != "vehicle.py":  # of six thrusters
+                wrong.append(f"{path}:{node.lineno}: one")
+    assert not wrong, "\n".join(wrong)
+
+
 class Managed:
     """A robot that does what it is asked."""
 

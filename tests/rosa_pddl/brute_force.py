@@ -4,7 +4,7 @@ from collections import deque
 from heapq import heappop, heappush
 from itertools import product
 
-from rosa_pddl.validate import ended, goal_holds, missing_at_start, started, step_costs
+from rosa_pddl.validate import ended, goal_holds, missing_at_start, plan_cost, started
 
 
 def ground_steps(domain):
@@ -59,6 +59,6 @@ def least_cost(domain, state, costs=None):
         done.add(state)
         for step, after in following(domain, steps, state):
             pushed += 1
-            (more,) = step_costs(domain, [step], state, costs)
+            more = plan_cost(domain, [step], state, costs)
             heappush(queue, (cost + more, pushed, after))
     return None
