@@ -232,6 +232,12 @@ def _fail(behaviour: Behaviour, stop: Callable[[Status], None], error: Exception
     behaviour.status = FAILURE
 
 
+def _check_choice(argument: str, value: str, choices: tuple[str, ...]) -> None:
+    """Raise a ValueError unless a value is one of the choices."""
+    if value not in choices:
+        raise ValueError(f"{argument} is {' or '.join(map(repr, choices))}, not {value!r}")
+
+
 class TreeRunner:
     """Ticks a tree at a fixed period of a clock that is handed in.
 
@@ -265,16 +271,18 @@ class TreeRunner:
     ) -> None:
         if not period > 0:
             raise ValueError(f"the period of a tree is more than 0 s, not {period!r}")
+        if not callable(clock):
+            raise TypeError(f"clock is a function that returns the time [s], not {clock!r}")
+        _check_choice("on_error", on_error, ("fail", "raise"))
+        _check_choice("on_clock_set_back", on_clock_set_back, ("follow", "refuse"))
         self._clock = clock
         self._period = period
-        self._refuses = {"follow": False, "refuse": True}[on_clock_set_back]
+        self._refuses = on_clock_set_back == "refuse"
         self._start = self._now = clock()
         self._set_back_s = 0.0
         self._ticks = 0
         self._is_stopped = False
-        self.tree = GuardedTree(
-            root, self._tree_time, raises={"fail": False, "raise": True}[on_error]
-        )
+        self.tree = GuardedTree(root, self._tree_time, raises=on_error == "raise")
         self._forget_progress(keeps_earlier=True)
 
     def _repr_svg_(self) -> str:
