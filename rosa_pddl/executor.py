@@ -426,15 +426,10 @@ class PlanExecutor(Behaviour):
             flaw = self._flaw(self._plan, self._belief.observe())
         if goals_changed:
             self._replanning.forget_failures()
-            if self.is_planning:
+            if self._plan is not None or self._client.is_under_way:
                 self._want(f"the goals changed: {flaw}" if flaw else "the goals changed")
         elif flaw is not None:
             self._want(flaw, self._cause)
-
-    @property
-    def is_planning(self) -> bool:
-        """Whether there is a plan, or one is being made."""
-        return self._plan is not None or self._client.is_under_way
 
     def _act_and_decide(self) -> Status:
         """Start the steps that may start, then decide what to ask and how the tick ends."""
@@ -627,7 +622,7 @@ class PlanExecutor(Behaviour):
         count = self._unseen.get(step, (missing, 0))[1] + 1
         self._unseen[step] = frozenset(missing), count
         if count > self._policy.retries:
-            self._backoff.use_up(step)
+            self._backoff.add(step, count)
             self._want(f"{step} did not bring {min(missing)} about {count} times")
 
     def _release(self, steps: Iterable[RunningStep]) -> None:

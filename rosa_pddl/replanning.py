@@ -198,10 +198,6 @@ class RetryBackoff:
         self._failed[what] = count, self._clock() + pause_s
         return count > self._policy.retries
 
-    def use_up(self, step: Step) -> None:
-        """Count a failure after which no retry is left."""
-        self.add(step, self._policy.retries + 1)
-
     def forget(self, what: Step | None) -> None:
         """Forget the failures."""
         self._failed.pop(what, None)
