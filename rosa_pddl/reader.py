@@ -424,6 +424,9 @@ def _read(
         problem_file = "no problem file"
     tasks = parse(problem.removeprefix("\ufeff"), problem_file)
     only_planned = ", ".join(sorted(features & _ONLY_PLANNED))
+    named = section(tasks, ":domain")
+    if named and named[0].lower() != root[1][1].lower():
+        raise _error(named[0], f"expected {root[1][1]!r}, as {file} is called")
     with _guarded(file):
         read = _Reader(root, tasks, actions, only_planned).domain()
     return replace(read, texts=(domain, problem))
