@@ -349,7 +349,7 @@ def why_selected(
             start = f"{text}; {component.name}" if text else f"{component.name} is not active, and"
             reasons.append(f"{start} is needed by {_needed_by(state, component)}")
     reasons = reasons or [*ended, "what was active or selected is no longer needed"]
-    return "; ".join(_first(reasons))
+    return "; ".join(_first(reasons) if len(reasons) > 1 else reasons)
 
 
 def _stays(state: State, design: Node, chosen: Sequence[Node]) -> bool:

@@ -174,7 +174,7 @@ class KnowledgeBase:
 
     Attributes:
         model: the model as it is now.
-        log: the events, in order; it holds the newest ones, see `Log.begins`.
+        log: the events, in order; it holds the newest ones.
         history: records that are needed less often.
         store: the file of the log, and its error if it has one; None without a store.
         forecast: predicts attributes, as in `kb.forecast("energy", 30.0)`; see `Forecaster`.

@@ -145,8 +145,8 @@ class ConfigurationManager:
         Raises:
             ProtocolError: the planner or the managed system returned a value that its protocol
                 does not allow.
-            InvalidValue, UnknownName: the planner selects what is unfeasible or unknown; nothing
-            is selected.
+            InvalidValue, UnknownName: the planner selects what is unfeasible or unknown; nothing is
+                selected.
         """
         kb = self._kb
         for monitor in self._monitors:

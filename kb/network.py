@@ -163,8 +163,10 @@ class Network:
                     node = Node(self._count, KINDS[cls], element)
                     self._count += 1
                 node.name = str(key)
-                node.constraints, node.debounced = [], []
-                node.requires, node.used_by = [], []
+                node.constraints = []
+                node.debounced = []
+                node.requires = []
+                node.used_by = []
                 nodes[key] = node
             for key in [key for key in nodes if key not in elements]:
                 nodes.pop(key, None)

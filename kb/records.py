@@ -223,11 +223,6 @@ class Log:
         self.time = -math.inf
         self.witnesses: tuple[Callable[[Any], None], ...] = ()
 
-    @property
-    def begins(self) -> int:
-        """Number of the event from which on every one is held; 1 while none is forgotten."""
-        return self.last + 1 - len(self._events)
-
     def append(self, event: Any) -> None:  # noqa: ANN401  # an `Event`, which has a plan
         """Add an event, unless one of its number is there already."""
         if not self._events or self._events[-1].number < event.number:

@@ -1,8 +1,7 @@
 """The questions that a knowledge base answers, for what is known and for "what if".
 
 Each question is a function, and a method of both `KnowledgeBase` and `Situation`: a situation
-    answers as the base would
-if some facts were different. No question changes anything.
+answers as the base would if some facts were different. No question changes anything.
 """
 
 from collections.abc import Iterable, Mapping
@@ -231,8 +230,8 @@ def situation(
         requested: names of actions supposed to be required, even if they are unfeasible.
         at: a time from now on [s, by the clock]. Attributes are forecast for it, as if all actions
             that are required, or supposed to be, were done until then. A forecast only adds
-                caution: what is violated now stays violated,
-            and what the worse end of a forecast's interval violates is violated then.
+            caution: what is violated now stays violated, and what the worse end of a forecast's
+            interval violates is violated then.
         attributes: values by name of attribute, e.g. `light=0.3`.
     """
     if not isinstance(measured, Mapping | None):

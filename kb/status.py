@@ -1,10 +1,9 @@
 """The six status tables: pure functions that give a status from those that it depends on.
 
 Each function is one table: the first line from the top that holds gives the status, so every
-    element has exactly
-one. `inference` decides when a table is consulted again; nothing else decides a status.
-The conceptual model is that of ROSA (Silva et al., "ROSA: a knowledge-based solution for robot
-self-adaptation").
+element has exactly one. `inference` decides when a table is consulted again; nothing else decides a
+status. The conceptual model is that of ROSA (Silva et al., "ROSA: a knowledge-based solution for
+robot self-adaptation").
 """
 
 import operator

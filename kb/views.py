@@ -236,7 +236,9 @@ class Views(Mapping[str, ViewT]):
     """
 
     def __init__(self, base: Readable, nodes: Mapping[str, Node], view: type[ViewT]) -> None:
-        self._base, self._table, self._view = base, nodes, view
+        self._base = base
+        self._table = nodes
+        self._view = view
 
     def __getitem__(self, name: str) -> ViewT:
         return self._view(self._base, self._table[name])

@@ -197,6 +197,10 @@ def do_until_unfeasible(
         during: how long the task takes [s], if it is an action; it starts only if it will stay
             feasible for that long.
     """
+    for part in (task, meanwhile):
+        if not isinstance(part, Behaviour):
+            hint = "put several in a Sequence or a Selector"
+            raise TypeError(f"do_until_unfeasible takes behaviours, not {part!r}; {hint}")
     doing = feasible_then_act(task, during)
     instead = feasible_then_act(meanwhile)
     name = name or f"{task.name}, or else {meanwhile.name}"

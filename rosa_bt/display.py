@@ -70,7 +70,8 @@ def svg_tree(root: Behaviour) -> str:
     right = 0.0
     top = _GAP
     for row in _rows(root):
-        left, (width, height) = _GAP + len(row.lead) * _GAP / 2, svg_size(row.lines)
+        left = _GAP + len(row.lead) * _GAP / 2
+        width, height = svg_size(row.lines)
         if row.parent >= 0:
             x, y = feet[row.parent]
             bend = f"M{x:g} {y:g}V{top + height / 2:g}H{left:g}"

@@ -7,14 +7,13 @@ from typing import Any, Literal
 from weakref import WeakSet
 
 from py_trees.behaviour import Behaviour
-from py_trees.behaviours import Failure, Running, Success
 from py_trees.common import Duration, Status
 from py_trees.composites import Selector, Sequence
 from py_trees.trees import BehaviourTree
 from py_trees.visitors import VisitorBase
 
 from kb import KnowledgeBase
-from rosa_bt.behaviours import GuardedBehaviour, KbBehaviour, RosaAction, halt
+from rosa_bt.behaviours import KbBehaviour, RosaAction, halt
 from rosa_bt.decorators import Clock, ForAction, follow_clock
 from rosa_bt.display import svg_tree
 from rosa_bt.exceptions import ClockError, on_error, report
@@ -30,11 +29,6 @@ from rosa_bt.requests import (
 
 _log = logging.getLogger(__name__)
 Handler = Callable[[BehaviourTree], None]
-
-_HARMLESS = frozenset({Failure, Running, Selector, Sequence, Success})
-"""Classes that raise nothing; their subclasses may."""
-_CAREFUL = (KbBehaviour, RosaAction, ForAction)
-"""Classes that handle exceptions, unless a subclass overrides that."""
 
 
 class GuardedTree(BehaviourTree):
@@ -168,8 +162,7 @@ class GuardedTree(BehaviourTree):
         follow_clock(behaviour, self._clock)
         if isinstance(behaviour, KbBehaviour | ForAction):
             self._bases[behaviour.kb] = None
-        needs_guard = behaviour is self.root or not _is_trusted(behaviour)
-        if needs_guard and behaviour not in _guarded:
+        if behaviour not in _guarded:
             _guard(behaviour)
         if self._setup_arguments is not None:
             try:
@@ -181,19 +174,6 @@ class GuardedTree(BehaviourTree):
 def _difference(nodes: list[Behaviour], others: list[Behaviour]) -> list[Behaviour]:
     excluded = set(others)
     return [node for node in nodes if node not in excluded]
-
-
-def _is_trusted(behaviour: Behaviour) -> bool:
-    """Tell whether a behaviour needs no guard.
-
-    With a guard for each, a tick takes a third longer.
-    """
-    kind = type(behaviour)
-    if kind in _HARMLESS:
-        return True
-    if kind.tick is not GuardedBehaviour.tick:
-        return False
-    return any(issubclass(kind, careful) and kind.stop is careful.stop for careful in _CAREFUL)
 
 
 class _EndedBadly(Exception):
@@ -252,6 +232,12 @@ def _fail(behaviour: Behaviour, stop: Callable[[Status], None], error: Exception
     behaviour.status = FAILURE
 
 
+def _check_choice(argument: str, value: str, choices: tuple[str, ...]) -> None:
+    """Raise a ValueError unless a value is one of the choices."""
+    if value not in choices:
+        raise ValueError(f"{argument} is {' or '.join(map(repr, choices))}, not {value!r}")
+
+
 class TreeRunner:
     """Ticks a tree at a fixed period of a clock that is handed in.
 
@@ -285,16 +271,18 @@ class TreeRunner:
     ) -> None:
         if not period > 0:
             raise ValueError(f"the period of a tree is more than 0 s, not {period!r}")
+        if not callable(clock):
+            raise TypeError(f"clock is a function that returns the time [s], not {clock!r}")
+        _check_choice("on_error", on_error, ("fail", "raise"))
+        _check_choice("on_clock_set_back", on_clock_set_back, ("follow", "refuse"))
         self._clock = clock
         self._period = period
-        self._refuses = {"follow": False, "refuse": True}[on_clock_set_back]
+        self._refuses = on_clock_set_back == "refuse"
         self._start = self._now = clock()
         self._set_back_s = 0.0
         self._ticks = 0
         self._is_stopped = False
-        self.tree = GuardedTree(
-            root, self._tree_time, raises={"fail": False, "raise": True}[on_error]
-        )
+        self.tree = GuardedTree(root, self._tree_time, raises=on_error == "raise")
         self._forget_progress(keeps_earlier=True)
 
     def _repr_svg_(self) -> str:

@@ -16,7 +16,7 @@ from kb.checks import Finding, finding_of, rules
 from kb.files import read_text
 from missions.commands import FAILED, Text, Texts, complain, open_console, tree_builder
 from missions.engine.mission import Mission, MissionError, Percepts, built, find_mission
-from missions.engine.task_layer import mission_domain
+from missions.engine.task_layer import build_task, mission_domain
 from missions.views.output import as_json
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_bt.composites import unguarded
@@ -91,6 +91,9 @@ def judge(
         builders[f"the tree of {mission.name}"] = mission.tree
     if mission is not None and mission.domain is not None and mission.problem is not None:
         domains.append(mission_domain(mission))
+        build_task(
+            "pddl", mission, _Tolerant(model), Percepts()
+        ).close()  # each step has its behaviour
     places = defaultdict[str, list[str]](list)
     findings: list[Finding] = []
     for title, build in builders.items():

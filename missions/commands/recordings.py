@@ -97,6 +97,7 @@ def replay(
         print_lines([f"{recording} {silence}"])
         raise Exit(FAILED)
     if not bag.events:
+        print_lines(["the recording has no decisions to compare with"])
         return
     before, now = (_decisions(bag, events) for events in (bag.events, decisions.events))
     lines = islice(unified_diff(before, now, n=0, lineterm=""), 2, None)

@@ -3,8 +3,8 @@
 The facts of a model that change, with one value for each difference that values make.
 
 Facts that make no difference apart are explored as one: of attributes that only violate the
-    constraints of the same
-elements, and of components that the model does not tell apart, only the first changes.
+constraints of the same elements, and of components that the model does not tell apart, only the
+first changes.
 """
 
 from collections import defaultdict

@@ -70,7 +70,8 @@ class Causes:
             is_satisfiable = succeeds(keys)
         brought_by_key = {key: self._predicates(key, kb, senses) for key in keys}
         is_free = succeeds({key for key in keys if not brought_by_key[key]})
-        senses.asked, senses.holding = set(), frozenset()
+        senses.asked = set()
+        senses.holding = frozenset()
         return (
             frozenset().union(*brought_by_key.values())
             if is_satisfiable and not is_free

@@ -1,3 +1,4 @@
+; CHANGE: your objects, what holds at the start, and the goal.
 (define (problem explore_the_cave)
   (:domain my_robot)
   (:objects explore charge - action the_cave - cave)

@@ -42,7 +42,7 @@ class Element(ElementTree.Element):
         return list(self)  # type: ignore[arg-type]  # the builder makes elements of this class
 
     def descendants(self, tag: str) -> list["Element"]:
-        return list(self.iter(tag))  # type: ignore[arg-type]  # as above
+        return list(self.iter(tag))  # type: ignore[arg-type]  # as for children
 
     @property
     def ports(self) -> dict[str, str]:

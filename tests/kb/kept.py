@@ -125,7 +125,8 @@ class Life:
     """Steps of a life, decided by a seed and by what the base answers."""
 
     def __init__(self, path, seed, model=None):
-        self.clock, self.chance = Clock(0.0), random.Random(seed)
+        self.clock = Clock(0.0)
+        self.chance = random.Random(seed)
         self.kb = KnowledgeBase(model or robot(), clock=self.clock, store=path, keep=KEPT)
 
     def moves(self):
@@ -137,7 +138,8 @@ class Life:
                 yield call(*arguments)
 
     def calls(self, what):
-        kb, chance = self.kb, self.chance
+        kb = self.kb
+        chance = self.chance
         if what < 5:
             yield kb.measure, chance.choice(("light", "energy", "load")), chance.random()
         elif what == 5 and chance.random() < 0.5:
@@ -177,7 +179,8 @@ class Life:
                 )
             )
         elif what == 11:
-            lidar, status = kb.components["lidar"], chance.choice(("failure", "solved", None))
+            lidar = kb.components["lidar"]
+            status = chance.choice(("failure", "solved", None))
             until = chance.choice((None, self.clock.now + 5.0))
             yield (
                 (kb.assert_status, lidar, status, "seen", until)
@@ -188,7 +191,8 @@ class Life:
             yield kb.assert_selected, kb.designs["by lidar"], chance.choice((True, False))
 
     def carrying_out(self, plan):
-        kb, chance = self.kb, self.chance
+        kb = self.kb
+        chance = self.chance
         is_vetoed = chance.random() < 0.2
         yield (
             partial(

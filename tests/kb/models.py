@@ -97,7 +97,8 @@ def models(*, aging=False, debounced=False):
 
 def model_by(chance, *, aging=False, debounced=False):
     model = Model("random")
-    ages, priorities = (1.0, 3.0, 6.0, math.inf) if aging else (math.inf,), (None, 0, 1, 2, -1)
+    ages = (1.0, 3.0, 6.0, math.inf) if aging else (math.inf,)
+    priorities = (None, 0, 1, 2, -1)
     attributes = [
         model.quality_attribute(
             f"x{i}",
@@ -427,7 +428,8 @@ class Twins:
 
     def agree(self, kb=None, naive=None):
         """Assert that the quick one answers every question as the naive one does."""
-        kb, naive = kb or self.kb, naive or self.naive
+        kb = kb or self.kb
+        naive = naive or self.naive
         for kind, name in self.elements():
             view = self.view(kind, name, kb)
             assert (kind, name, view.status) == (kind, name, naive.status(kind, name))

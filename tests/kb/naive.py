@@ -193,7 +193,8 @@ class Naive:
 
     def adaptable_components(self, designs=()):
         supposed = copy.copy(self)
-        supposed.designs, supposed.configurations = set(self.designs), set(self.configurations)
+        supposed.designs = set(self.designs)
+        supposed.configurations = set(self.configurations)
         supposed.mark({self.model.designs[name].function: name for name in designs}, {})
         return {
             component.name

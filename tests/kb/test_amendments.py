@@ -86,7 +86,8 @@ def removal(chance, model):
 
 def forget(twins):
     """Have the naive twin forget the facts about what is no longer in the model."""
-    naive, model = twins.naive, twins.model
+    naive = twins.naive
+    model = twins.model
     for facts, table in (
         (naive.failed, model.components),
         (naive.active, model.components),

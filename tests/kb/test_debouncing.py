@@ -32,7 +32,8 @@ def status(kb):
 def test_noise_switches_at_most_once_a_dwell(noise, dwell):
     clock = Clock(0.0)
     kb = KnowledgeBase(rover(dwell=dwell), clock=clock)
-    changes, plans = [], []
+    changes = []
+    plans = []
     kb.subscribe(
         lambda event: changes.extend(
             change for change in event.changes if change.kind == "constraint"
@@ -53,7 +54,8 @@ def test_noise_switches_at_most_once_a_dwell(noise, dwell):
     kb.request_action("explore")
     kb.measure("light", 1.0)
     adapt()
-    first_changes, first_plans = len(changes), len(plans)
+    first_changes = len(changes)
+    first_plans = len(plans)
     for pause, value in noise:
         clock.now += pause
         kb.measure("light", value)

@@ -220,7 +220,7 @@ def test_no_managed_system_makes_the_manager_lie(seed, interrupts):
     assert len(life.kb.plans) > 3
     results = {plan.result for plan in life.kb.plans}
     assert results <= {"completed", "failed", *(["abandoned"] if interrupts else [])}
-    abandoned = [one for one in life.kb.history.attempts if one.result == "abandoned"]
+    abandoned = [attempt for attempt in life.kb.history.attempts if attempt.result == "abandoned"]
     assert bool(life.interrupted > 1 and abandoned) is bool(interrupts)
 
 

@@ -144,7 +144,8 @@ def test_event_says_which_statuses_changed(kb, told):
 
 
 def test_subscriber_is_called_until_it_leaves(kb):
-    seen, after = [], []
+    seen = []
+    after = []
 
     def once(event):
         seen.append(event)
@@ -209,7 +210,8 @@ def test_what_is_no_finite_number_changes_nothing(kb, told, value):
 @pytest.mark.parametrize("value", ["yes", 0, 1.0])
 def test_what_is_so_or_not_is_a_boolean(kb, value):
     kb.select({"see": "by camera"})
-    plan, before = kb.latest_plan, kb.log.last
+    plan = kb.latest_plan
+    before = kb.log.last
     for what, record in {
         "active": lambda: kb.component_active("camera", value),
         "required": lambda: kb.assert_required("camera", value),
@@ -328,7 +330,8 @@ def test_views_are_a_read_only_mapping_in_order_of_declaration(kb, table):
 
 
 def test_view_answers_for_the_moment_in_which_it_is_asked(kb, clock):
-    light, explore = kb.attributes["light"], kb.actions["explore"]
+    light = kb.attributes["light"]
+    explore = kb.actions["explore"]
     assert (light.value, light.time) == (None, None)
     kb.measure("light", 0.1)
     clock.now = 11.0

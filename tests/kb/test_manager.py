@@ -215,7 +215,8 @@ in_life = settings(
 )
 
 
-PASSING, LASTING = (None, 1.0), (None, Broken("for ever"), (1.0, Broken("for ever")))
+PASSING = (None, 1.0)
+LASTING = (None, Broken("for ever"), (1.0, Broken("for ever")))
 
 
 @settings(in_life, phases=[Phase.generate])
@@ -228,7 +229,8 @@ def test_loop_comes_to_rest_after_any_trouble(model, data, endings):
 @given(models(), st.data(), st.sampled_from((None, 0.0, 2.0)))
 def test_obedient_system_ends_as_the_kb_says(model, data, lasts):
     twins = Twins(model)
-    kb, clock = twins.kb, twins.clock
+    kb = twins.kb
+    clock = twins.clock
     managed = Scripted(clock, default=lasts)
     manager = ConfigurationManager(kb, managed)
     things = events(model, asserting=False, selecting=False).filter(
@@ -303,7 +305,8 @@ def test_later_plan_does_what_an_earlier_one_left_open():
     for number in (1, 2):
         lamp.configuration(f"k{number}", {"power": number})
     horn = model.component("horn", kind="lifecycle")
-    light, sound = model.function("light"), model.function("sound")
+    light = model.function("light")
+    sound = model.function("sound")
     light.design("by lamp", [lamp])
     sound.design("by horn", [horn])
     model.action("shine", requires=[light])

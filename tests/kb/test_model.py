@@ -190,7 +190,7 @@ def test_shared_constraint_applies_to_all_its_elements(model):
         assert view.status is Status.UNFEASIBLE
 
 
-BAD_PARAMETERS = [None, {"a": 1}, {1}, b"x", object(), [1, "a"], [None], [[1]], [True, 1]]
+BAD_PARAMETERS = [None, {"a": 1}, {1}, b"x", Ellipsis, [1, "a"], [None], [[1]], [True, 1]]
 
 
 @pytest.mark.parametrize("value", [*BAD_PARAMETERS, math.nan, [1.0, math.inf]], ids=repr)

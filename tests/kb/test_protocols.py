@@ -84,7 +84,8 @@ class Answers(Scripted):
 
 class Done:
     def __init__(self, done, error=None):
-        self.done, self.exception = (lambda: done), (lambda: error)
+        self.done = lambda: done
+        self.exception = lambda: error
 
 
 @pytest.mark.filterwarnings("error")

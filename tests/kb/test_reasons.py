@@ -34,7 +34,9 @@ class Lives:
     """A knowledge base, and the same one later: with its store, or going on in memory."""
 
     def __init__(self, store):
-        self.clock, self.store, self.kb = Clock(300.0), store, None
+        self.clock = Clock(300.0)
+        self.store = store
+        self.kb = None
         self.begin()
 
     def begin(self):

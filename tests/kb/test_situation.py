@@ -66,7 +66,8 @@ def supposed(naive, assumed):
     for name, value in assumed["measured"].items():
         twin.value.pop(name, None)
         if value is not None:
-            twin.value[name], twin.time[name] = value, naive.now
+            twin.value[name] = value
+            twin.time[name] = naive.now
     twin.failed |= set(assumed["failed"])
     twin.failed -= set(assumed["recovered"])
     for name in assumed["recovered"]:
@@ -89,7 +90,8 @@ def test_a_situation_answers_as_if_its_assumptions_were_facts(story, data):
     for event in happenings:
         twins.happen(event)
     before = twins.statuses()
-    first, second = data.draw(assumptions(model)), data.draw(assumptions(model))
+    first = data.draw(assumptions(model))
+    second = data.draw(assumptions(model))
     situation = suppose(twins.kb, first)
     twins.agree(situation, supposed(twins.naive, first))
     nested = suppose(situation, second)

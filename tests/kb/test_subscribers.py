@@ -19,7 +19,9 @@ def base(**given):
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, GeneratorExit])
 def test_others_go_on_hearing_when_one_is_interrupted(error):
-    kb, heard, interrupted = base(), [], []
+    kb = base()
+    heard = []
+    interrupted = []
 
     def interrupting(event):
         interrupted.append(event.number)
@@ -60,7 +62,8 @@ def test_bases_that_ask_each_other_never_deadlock():
 
 @pytest.mark.parametrize("where", ["clock", "subscriber"])
 def test_no_lock_is_held_while_the_code_of_others_runs(where):
-    kb, answered = base(), []
+    kb = base()
+    answered = []
 
     def asks_by_another_thread(*_):
         if not answered:
@@ -93,7 +96,8 @@ def in_a_fork(child):
 
 
 def test_forked_child_never_waits_for_a_missing_thread():
-    kb, done = base(), threading.Event()
+    kb = base()
+    done = threading.Event()
 
     def tell():
         while not done.is_set():

@@ -23,7 +23,8 @@ def frequent_switches():
 
 def run_together(*jobs):
     """Run each job on a thread of its own, all at once; raise what the first of them raised."""
-    troubles, together = [], threading.Barrier(len(jobs))
+    troubles = []
+    together = threading.Barrier(len(jobs))
 
     def run(job):
         try:
@@ -70,7 +71,8 @@ def test_always_feasible_action_never_looks_unfeasible(kb):
         done.set()
 
     def tree():
-        situation, is_last = kb.situation(requested=["look"]), False
+        situation = kb.situation(requested=["look"])
+        is_last = False
         while not is_last:
             is_last = done.is_set()
             assert kb.is_feasible("look")

@@ -85,7 +85,8 @@ class House:
         for action in ("go", "look"):
             model.action(action)
         self.kb = KnowledgeBase(model, clock=lambda: 0.0)
-        self.script, self.disturbances = list(script), list(disturbances)
+        self.script = list(script)
+        self.disturbances = list(disturbances)
         self.facts = {}
         self.log = []
         self.tick = 0

@@ -104,7 +104,10 @@ class Twin:
 
     def __init__(self, setup, rounds):
         self.setup = setup
-        self.situations, self.faults, self.ticked, self.runs = set(), set(), set(), 0
+        self.situations = set()
+        self.faults = set()
+        self.ticked = set()
+        self.runs = 0
         rig = self.run(())
         self.situations.add(seen(rig))
         keys = {key(rig)}

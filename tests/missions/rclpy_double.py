@@ -135,7 +135,8 @@ class Client:
     def call_async(self, request):
         if not isinstance(request, self.srv_type.Request):
             raise TypeError
-        future, (node, service) = Future(), self._servers()[0]
+        future = Future()
+        (node, service) = self._servers()[0]
 
         def serve():
             response = service.callback(request, service.srv_type.Response())
@@ -179,7 +180,10 @@ class GoalHandle:
     status = 0
 
     def __init__(self, node, server, key, result):
-        self.node, self.server, self.key, self.accepted = node, server, key, bool(key)
+        self.node = node
+        self.server = server
+        self.key = key
+        self.accepted = bool(key)
         self.get_result_async = lambda: result
 
     def cancel_goal_async(self):
@@ -278,7 +282,9 @@ class RobotHost:
     actions: ClassVar = {}
 
     def __init__(self):
-        self.types, self.node, self.actions = Messages(), Node(), RobotHost.actions
+        self.types = Messages()
+        self.node = Node()
+        self.actions = RobotHost.actions
         self.node.is_robot = True
         self.actions.clear()
 

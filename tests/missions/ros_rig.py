@@ -69,9 +69,13 @@ class Rig:
     """The robot `rover`: camera, radar and an action server; `turn` lets time pass."""
 
     def __init__(self, host, node, **settings):
-        self.now, self.host, self.node, self._lost = 0.0, host, node, set()
+        self.now = 0.0
+        self.host = host
+        self.node = node
+        self._lost = set()
         node.clock = lambda: self.now
-        self.camera, self.radar = LifecycleNode(host, "/camera"), LifecycleNode(host, "/radar")
+        self.camera = LifecycleNode(host, "/camera")
+        self.radar = LifecycleNode(host, "/radar")
         self.server = ActionServer(host)
         host.advertise("/battery_state", BATTERY)
         self.kb = KnowledgeBase(rover(), clock=lambda: self.now)

@@ -23,7 +23,9 @@ class LifecycleNode:
         self.host = host
         self.name = name
         self.state = 1
-        self.parameters, self.transitions, self.refused = {}, [], set()
+        self.parameters = {}
+        self.transitions = []
+        self.refused = set()
         self.is_frozen = False
         self.asked = 0
         self.start()

@@ -15,8 +15,11 @@ from websockets.sync.server import serve
 
 class Client:
     def __init__(self, websocket):
-        self.websocket, self.topics, self.services = websocket, set(), set()
-        self.waiting, self.is_over = {}, threading.Event()
+        self.websocket = websocket
+        self.topics = set()
+        self.services = set()
+        self.waiting = {}
+        self.is_over = threading.Event()
 
     def send(self, **message):
         with suppress(Exception):

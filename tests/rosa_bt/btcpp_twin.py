@@ -64,8 +64,11 @@ class Board(UserDict):
     """What one tree sees: entries by key (None: no value yet), and how often each was written."""
 
     def __init__(self, around=None, remapped=(), constants=(), *, is_auto=False):
-        self.around, self.remapped, self.is_auto = around, dict(remapped), is_auto
-        self.written, self.own = dict.fromkeys(dict(constants), 1), frozenset(dict(constants))
+        self.around = around
+        self.remapped = dict(remapped)
+        self.is_auto = is_auto
+        self.written = dict.fromkeys(dict(constants), 1)
+        self.own = frozenset(dict(constants))
         super().__init__()
         self.data.update(constants)
 
@@ -108,7 +111,9 @@ class World:
         self.ports = ports
         self.leaves = dict(leaves)
         self.ticked = dict.fromkeys(leaves, 0)
-        self.said, self.boards, self.now = [], [Board()], 0.0
+        self.said = []
+        self.boards = [Board()]
+        self.now = 0.0
 
     @property
     def board(self):
@@ -305,7 +310,9 @@ class Parallel(Together):
         successes = self.threshold("success_count", -1)
         failures = self.threshold("failure_count", 1)
         counts_skipped = int(self.ports.get("success_count", -1)) < 0
-        self.status, skipped, count = RUNNING, 0, len(self.children)
+        self.status = RUNNING
+        skipped = 0
+        count = len(self.children)
         for child in self.children:
             if child not in self.ended:
                 status = child.execute()
@@ -594,7 +601,8 @@ class Loop(Decorator):
 
     def tick(self):
         if self.status == IDLE:
-            self.goes_on, self.left = False, self.ports["queue"].split(";")
+            self.goes_on = False
+            self.left = self.ports["queue"].split(";")
         if not self.goes_on:
             if not self.left:
                 return self.ports.get("if_empty", SUCCESS)
@@ -612,7 +620,8 @@ class TryCatch(Node):
         self.index = self.skipped = 0
 
     def tick(self):
-        self.status, last = RUNNING, len(self.children) - 1
+        self.status = RUNNING
+        last = len(self.children) - 1
         while self.index < last:
             status = self.children[self.index].execute()
             if status == RUNNING:

@@ -21,6 +21,7 @@ from rosa_bt import (
     TraceVisitor,
     TreeChangeError,
     TreeRunner,
+    do_until_unfeasible,
     export_xml,
     load_xml,
     read_trace,
@@ -208,3 +209,22 @@ def test_setup_reaches_a_behaviour_inserted_later():
     runner.tree.insert_subtree(second, root.id, 1)
     runner.tick()
     assert (first.sound, second.sound) == ("toot", "toot")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"clock": 0.0}, "clock is a function that returns the time"),
+        ({"clock": float, "on_error": "rais"}, "on_error is 'fail' or 'raise', not 'rais'"),
+        ({"clock": float, "on_clock_set_back": "go"}, "on_clock_set_back is 'follow' or 'refuse'"),
+        ({"clock": float, "period": 0.0}, "the period of a tree is more than 0 s"),
+    ],
+)
+def test_runner_with_a_wrong_argument_is_refused(arguments, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        TreeRunner(Running("rest"), **arguments)
+
+
+def test_idiom_with_a_list_of_tasks_is_refused():
+    with pytest.raises(TypeError, match="put several in a Sequence or a Selector"):
+        do_until_unfeasible([Running("work")], Running("rest"))

@@ -155,7 +155,8 @@ class Between(Running):
 
     def __init__(self, name, kb, told):
         super().__init__(name)
-        self.kb, self.told = kb, list(told)
+        self.kb = kb
+        self.told = list(told)
 
     def update(self):
         what = self.told.pop(0) if self.told else None

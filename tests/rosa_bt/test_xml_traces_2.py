@@ -111,7 +111,9 @@ def registry_for(case, said):
             name: cycle([held(of, value) for value in values])
             for name, (of, values) in outs.items()
         }
-        cls.tag, cls.script, cls.said = tag, cycle(script), said
+        cls.tag = tag
+        cls.script = cycle(script)
+        cls.said = said
         registry.register(tag, cls, kind="action" if kind == "A" else "condition")
     return registry
 
