@@ -1,10 +1,11 @@
 """Executes plans with py_trees behaviours, and replans when the world or the goals change.
 
-A tick goes through five stages: sense, believe, monitor, decide, act. `PlanExecutor._advance` is
-their list; each stage is a method of its own.
+A tick senses, updates the belief, monitors the steps and the plan, ticks the steps, takes the
+planner's answer, starts steps and decides whether to ask for a plan: see `PlanExecutor._advance`.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -238,6 +239,10 @@ class PlanExecutor(Behaviour):
         self._clock = clock
         self._took_s: dict[str, float] = {}
         self._is_midway = False
+        self._kb: Any = kb
+        self._keeps_required = self._policy.keep_required and hasattr(kb, "request_action")
+        self._succeeded: str | None = None
+        self._kept: tuple[str, float] | None = None
 
     # ------------------------------------------------------------ what users ask
 
@@ -376,7 +381,26 @@ class PlanExecutor(Behaviour):
             self._take_answer()
             status = self._act_and_decide()
             rounds -= 1
+        self._keep_required(status)
         return status
+
+    def _keep_required(self, status: Status) -> None:
+        """Keep the action of a step that has just succeeded required until the next one starts."""
+        action = self._succeeded
+        self._succeeded = None
+        is_late = self._kept is not None and self._clock() >= self._kept[1]
+        if self._running or status != Status.RUNNING or is_late:
+            self._let_go()
+        elif action is not None and self._keeps_required:
+            self._kept = action, self._clock() + self._planner.timeout_s
+            self._kb.request_action(action)
+
+    def _let_go(self) -> None:
+        """Require the kept action no longer, unless a step does it."""
+        kept = self._kept
+        self._kept = None
+        if kept is not None and kept[0] not in {step.action for step in self.current_steps}:
+            self._kb.cancel_action(kept[0], "completed")
 
     def _sense(self) -> None:
         """Find out which event changed feasibility, and which objects came and went."""
@@ -426,15 +450,10 @@ class PlanExecutor(Behaviour):
             flaw = self._flaw(self._plan, self._belief.observe())
         if goals_changed:
             self._replanning.forget_failures()
-            if self.is_planning:
+            if self._plan is not None or self._client.is_under_way:
                 self._want(f"the goals changed: {flaw}" if flaw else "the goals changed")
         elif flaw is not None:
             self._want(flaw, self._cause)
-
-    @property
-    def is_planning(self) -> bool:
-        """Whether there is a plan, or one is being made."""
-        return self._plan is not None or self._client.is_under_way
 
     def _act_and_decide(self) -> Status:
         """Start the steps that may start, then decide what to ask and how the tick ends."""
@@ -533,6 +552,7 @@ class PlanExecutor(Behaviour):
         self._plan = None
         self._replanning.forget()
         self._release(self._running)
+        self._let_go()
         self.children = []
         self._is_midway = False
 
@@ -589,7 +609,7 @@ class PlanExecutor(Behaviour):
         self._want(reason)
 
     def _end(self, running: RunningStep) -> str | None:
-        """Believe the effects of a step that succeeded; return why it cannot have, or None."""
+        """Believe what a step brought about; return why it cannot have succeeded, or None."""
         step = running.step
         state = self._belief.observe()
         missing = missing_of(self._domain, self._domain.schema_of[step.schema].end, step, state)
@@ -597,6 +617,7 @@ class PlanExecutor(Behaviour):
             return f"{step} ended although {missing} does not hold"
         self._belief.end(running, step, state)
         self._took_s[step.schema] = self._clock() - running.began_s
+        self._succeeded = step.action
         self._release([running])
         if self._plan is not None:
             self._plan = self._plan.with_event(StepEvent(running.number, True))
@@ -627,7 +648,7 @@ class PlanExecutor(Behaviour):
         count = self._unseen.get(step, (missing, 0))[1] + 1
         self._unseen[step] = frozenset(missing), count
         if count > self._policy.retries:
-            self._backoff.use_up(step)
+            self._backoff.add(step, count)
             self._want(f"{step} did not bring {min(missing)} about {count} times")
 
     def _release(self, steps: Iterable[RunningStep]) -> None:

@@ -424,6 +424,9 @@ def _read(
         problem_file = "no problem file"
     tasks = parse(problem.removeprefix("\ufeff"), problem_file)
     only_planned = ", ".join(sorted(features & _ONLY_PLANNED))
+    named = section(tasks, ":domain")
+    if named and named[0].lower() != root[1][1].lower():
+        raise _error(named[0], f"expected {root[1][1]!r}, as {file} is called")
     with _guarded(file):
         read = _Reader(root, tasks, actions, only_planned).domain()
     return replace(read, texts=(domain, problem))
@@ -459,7 +462,9 @@ class _Reader:
         if self.does:
             feasible = Signature(FEASIBLE, (("?a", ACTION_TYPE),), False)
             self.signatures.setdefault(FEASIBLE, feasible)
-        self._read_functions()
+        for tree in section(self.root, ":functions"):
+            if isinstance(tree, tuple):
+                self._declare_signature(tree, is_number=True)
         self._read_objects(section(self.root, ":constants"))
         self._read_objects(section(self.problem, ":objects"))
         bodies = [tree for tree in self.root[2:] if _head(tree) in _BODIES]
@@ -532,11 +537,6 @@ class _Reader:
         variables, _ = self._formulas.variables(tree[1:])
         signature = Signature(str(tree[0]), variables, is_number)
         self.signatures.setdefault(_head(tree), signature)
-
-    def _read_functions(self) -> None:
-        for tree in section(self.root, ":functions"):
-            if isinstance(tree, tuple):
-                self._declare_signature(tree, is_number=True)
 
     def _read_objects(self, trees: Iterable[Tree]) -> None:
         for name, kind in typed(trees):

@@ -164,6 +164,8 @@ class ReplanningPolicy:
             out the step, until a pause of up to a minute is over.
         overrun: how many times its expected duration a step may take; then it is stopped and
             counts as failed.
+        keep_required: whether the ROSA action of a step that has succeeded stays required until
+            the next step starts, at most as long as the planner may take: no gap between steps.
 
     Raises:
         PlannerSettingError: a setting that makes no sense.
@@ -172,6 +174,7 @@ class ReplanningPolicy:
     at_most_every_s: float = 0.2
     retries: int = 3
     overrun: float = inf
+    keep_required: bool = True
 
     def __post_init__(self) -> None:
         for name in ("at_most_every_s", "retries"):
@@ -197,10 +200,6 @@ class RetryBackoff:
         pause_s = min(_FIRST_PAUSE_S * 2.0 ** min(count - 1, 30), _LONGEST_PAUSE_S)
         self._failed[what] = count, self._clock() + pause_s
         return count > self._policy.retries
-
-    def use_up(self, step: Step) -> None:
-        """Count a failure after which no retry is left."""
-        self.add(step, self._policy.retries + 1)
 
     def forget(self, what: Step | None) -> None:
         """Forget the failures."""

@@ -343,11 +343,11 @@ class TaskGraph:
     def _slim(self, schema: Schema) -> Schema:
         """Return an action without the conditions that hold throughout."""
 
-        def open_ones(formulas: Iterable[Formula]) -> tuple[Formula, ...]:
+        def open_parts(formulas: Iterable[Formula]) -> tuple[Formula, ...]:
             parts = conjuncts(formulas)
             return tuple(part for part in parts if part[0] != "atom" or part[1] in self._read)
 
-        start, over_all, end = map(open_ones, (schema.start, schema.over_all, schema.end))
+        start, over_all, end = map(open_parts, (schema.start, schema.over_all, schema.end))
         return replace(schema, start=start, over_all=over_all, end=end)
 
     def _priced(self, task: Grounded) -> Iterator[tuple[GroundStep, Number, tuple[Exact, ...]]]:

@@ -7,6 +7,7 @@ from py_trees.composites import Parallel
 
 from kb import ConfigurationManager, KnowledgeBase, Model
 from rosa_bt import RosaAction
+from rosa_pddl import ReplanningPolicy
 
 DOMAIN = """(define (domain trip) (:requirements :typing :durative-actions)
   (:types action place)
@@ -124,3 +125,21 @@ def test_what_an_action_beside_the_executor_requires_goes_on(domain):
         "stop motor",
         "start motor",
     ]
+
+
+@pytest.mark.parametrize("keep_required", [True, False])
+def test_action_of_a_step_stays_required_until_the_next_step(extended, keep_required):
+    model = Model("small")
+    for name in extended.rosa_actions:
+        model.action(name)
+    kb = KnowledgeBase(model, clock=lambda: 0.0)
+    policy = ReplanningPolicy(keep_required=keep_required)
+    world = World(extended, kb=lambda _: kb, policy=policy)
+    world.run(until="search_pipeline")
+    world.executor.goals.add("(recharged bluerov)")
+    required = set[str]()
+    for _ in range(20):
+        world.tick()
+        required.update(name for name, view in kb.actions.items() if view.is_required)
+    assert required == ({"search_pipeline"} if keep_required else set())
+    assert not any(view.is_required for view in kb.actions.values())
