@@ -105,7 +105,9 @@ class Belief:
         for key, (taken, given) in now.undos.items():
             undos[key] = frozenset(filter(stays, taken)), frozenset(filter(stays, given))
         self._now = _Believed(frozenset(filter(stays, now.facts)), numbers, undos)
-        self._answer, self.sensed, self._taken_in = {}, _Sensed(), None
+        self._answer = {}
+        self.sensed = _Sensed()
+        self._taken_in = None
         self.ignored_percepts.clear()
 
     def appeared(self) -> Iterator[tuple[str, str, bool]]:

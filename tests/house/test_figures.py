@@ -37,7 +37,7 @@ LAYOUT = {
     tokenize.ENCODING,
     tokenize.ENDMARKER,
 }
-MOST_IN_A_FOLDER = 31  # kb is flat
+MOST_IN_A_FOLDER = 28  # kb is flat
 
 
 @cache

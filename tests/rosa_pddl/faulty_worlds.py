@@ -162,7 +162,10 @@ def episode(ground, seed):
     planner = Faulty(ground.planner)
     world = World(ground.domain, planner, task=Doing, policy=policy)
     planner.world = world
-    world.rng, world.at, world.seen, world.begun = rng, "p0", set(), Counter()
+    world.rng = rng
+    world.at = "p0"
+    world.seen = set()
+    world.begun = Counter()
     moves = [
         world.domain.step(kind, [kind, *pair])
         for kind in ("go", "swim")

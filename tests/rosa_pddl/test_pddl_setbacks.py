@@ -71,7 +71,9 @@ class PlanningFailedd:
     timeout_s = 120.0
 
     def __init__(self, troubles, outcome=Outcome.ENGINE_CRASHED):
-        self.left, self.outcome, self.planner = troubles, outcome, Planner()
+        self.left = troubles
+        self.outcome = outcome
+        self.planner = Planner()
 
     def start(self, problem):
         future = Future()
