@@ -91,9 +91,6 @@ def judge(
         builders[f"the tree of {mission.name}"] = mission.tree
     if mission is not None and mission.domain is not None and mission.problem is not None:
         domains.append(mission_domain(mission))
-        build_task(
-            "pddl", mission, _Tolerant(model), Percepts()
-        ).close()  # each step has its behaviour
     places = defaultdict[str, list[str]](list)
     findings: list[Finding] = []
     for title, build in builders.items():
@@ -105,6 +102,7 @@ def judge(
     of_model = list(_placed(model.check(places), places, is_complete))
     codes = {finding.code for finding in of_model}
     if mission is not None and mission.problem is not None and _UNKNOWN not in codes:
+        build_task("pddl", mission, _Tolerant(model), Percepts()).close()  # each has its behaviour
         unmentioned = [f.element for f in of_model if f.code == _UNMENTIONED]
         names = [repr(element.removeprefix("action ")) for element in unmentioned]
         for note in mission_domain(mission).check(KnowledgeBase(model)):

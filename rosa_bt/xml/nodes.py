@@ -127,7 +127,7 @@ class Slot:
             self.node.status = INVALID
 
 
-def port(data_type: Any, default: object = None, *, required: bool = True) -> PortInformation:  # noqa: ANN401  # a type
+def port(data_type: Any, default: object = None, *, required: bool = True) -> PortInformation:  # noqa: ANN401  # a type of values
     return PortInformation(data_type, required, "", default)
 
 

@@ -104,7 +104,7 @@ class _Run:
             raise ScriptError(f"there is no {text!r} on the blackboard (yet)")
         return entry.value
 
-    def assign(self, target: Any, sign: str, expression: Any) -> Value:  # noqa: ANN401  # as above
+    def assign(self, target: Any, sign: str, expression: Any) -> Value:  # noqa: ANN401  # a node of the grammar
         board = self._board
         name = str(target)
         if getattr(target, "type", "") != "NAME" or name in ("true", "false"):
@@ -132,19 +132,19 @@ class _Run:
         entry.put(value)
         return value
 
-    def choose(self, condition: Any, yes: Any, no: Any) -> Value:  # noqa: ANN401  # as above
+    def choose(self, condition: Any, yes: Any, no: Any) -> Value:  # noqa: ANN401  # a node of the grammar
         value = self.value(condition)
         if isinstance(value, str):
             value = begun(value)
         return self.value(yes if double(value) else no)
 
-    def fold(self, first: Any, *rest: Any) -> Value:  # noqa: ANN401  # as above
+    def fold(self, first: Any, *rest: Any) -> Value:  # noqa: ANN401  # a node of the grammar
         value = self.value(first)
         for sign, right in zip(rest[::2], rest[1::2], strict=True):
             value = _operate(sign, value, self.value(right))
         return value
 
-    def compare(self, first: Any, *rest: Any) -> float:  # noqa: ANN401  # as above
+    def compare(self, first: Any, *rest: Any) -> float:  # noqa: ANN401  # a node of the grammar
         left = self.value(first)
         for sign, part in zip(rest[::2], rest[1::2], strict=True):
             right = self.value(part)
@@ -156,7 +156,7 @@ class _Run:
             left = right
         return 1.0
 
-    def prefixed(self, sign: str, operand: Any) -> float:  # noqa: ANN401  # as above
+    def prefixed(self, sign: str, operand: Any) -> float:  # noqa: ANN401  # a node of the grammar
         value = self.value(operand)
         if sign == "~":  # of the whole part of a number
             is_finite = is_number(value) and math.isfinite(value)

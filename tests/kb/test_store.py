@@ -26,7 +26,7 @@ from kb import KnowledgeBase, Model
 model = Model("four threads")
 for number in range(4):
     model.quality_attribute(f"q{number}")
-kb = KnowledgeBase(model, store=sys.argv[1])
+kb = KnowledgeBase(model, store=sys.argv[1], keep=10**6)
 
 def record(number):
     for value in range(10**9):
@@ -66,7 +66,7 @@ def test_kill_under_four_threads_loses_nothing_acknowledged(tmp_path, delay):
     model = Model("four threads")
     for number in range(4):
         model.quality_attribute(f"q{number}")
-    kb = KnowledgeBase(model, store=path)
+    kb = KnowledgeBase(model, store=path, keep=10**6)
     assert kb.log.last >= acknowledged
     kb.close()
     events = stored(path)
