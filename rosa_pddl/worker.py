@@ -56,7 +56,7 @@ _OUTCOMES = {
 }
 
 
-def answer_of(outcome: str, message: str = "", plan: Any = ()) -> Answer:  # noqa: ANN401
+def answer_of(outcome: str, message: str = "", plan: Any = ()) -> Answer:  # noqa: ANN401  # what JSON holds
     """Return an answer: the name of the outcome, a message, and the steps of the plan."""
     return {"outcome": outcome, "message": message[-400:], "plan": list(plan)}
 

@@ -398,7 +398,7 @@ def _taken(component: Component, values: Mapping[str, object]) -> dict[str, floa
         if key not in component.parameters:
             raise unknown_name(f"parameter of {component.name}", key, component.parameters)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        taken[key] = float(value) if is_number else math.nan  # type: ignore[arg-type]  # a number
+        taken[key] = float(value) if is_number else math.nan  # type: ignore[arg-type]  # it is a number
         if not 0 < taken[key] <= HIGHEST_ALTITUDE_M:
             allowed = f"a number above 0 and up to {HIGHEST_ALTITUDE_M:g} [m]"
             raise SuaveEnvError(

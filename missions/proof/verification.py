@@ -152,7 +152,7 @@ def verify(
     model: Callable[[], Model],
     *,
     suggest: bool = False,
-    **options: Any,  # noqa: ANN401  # of Setup
+    **options: Any,  # noqa: ANN401  # arguments of Setup
 ) -> Proof:
     """Explore a tree with its knowledge base and the manager, and check what holds.
 
@@ -166,7 +166,7 @@ def verify(
     return prove(Setup(lambda kb, senses: build_tree(kb), model, **options), suggest=suggest)
 
 
-def setup_of(mission: Mission, **options: Any) -> Setup:  # noqa: ANN401  # of Setup
+def setup_of(mission: Mission, **options: Any) -> Setup:  # noqa: ANN401  # arguments of Setup
     """Return the setup that explores the tree of a mission; MissionError if it has none."""
     if mission.tree is None:
         raise MissionError(f"mission {mission.name} has no tree to verify; give it tree=...")

@@ -77,7 +77,7 @@ class Breakpoint:
         advice = f"; did you mean {' or '.join(close)}?" if close else ""
         raise MissionError(f"breakpoint {self.text!r}: nothing is named {self.name!r}{advice}")
 
-    def is_met(self, track: str, key: int | str, name: str, value: Any) -> bool:  # noqa: ANN401
+    def is_met(self, track: str, key: int | str, name: str, value: Any) -> bool:  # noqa: ANN401  # what a row shows
         """Return whether a row of a page makes the condition hold, which did not hold before."""
         if name != self.name or value is None:
             return False

@@ -157,7 +157,7 @@ class ElementTable:
         self._views[number] = kind, view
         return number
 
-    def _relations(self, kind: str, view: Any) -> dict[str, Any]:  # noqa: ANN401
+    def _relations(self, kind: str, view: Any) -> dict[str, Any]:  # noqa: ANN401  # a view of any kind
         def numbers(kind: str, names: Iterable[str]) -> list[int]:
             return [self.names[kind, name] for name in names]
 

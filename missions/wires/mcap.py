@@ -389,7 +389,7 @@ def read_bag(path: str | Path) -> Bag:
     return bag
 
 
-def _add(bag: Bag, topic: str, content: Any, path: str | Path) -> float:  # noqa: ANN401  # of JSON
+def _add(bag: Bag, topic: str, content: Any, path: str | Path) -> float:  # noqa: ANN401  # what JSON holds
     """Add a message of one of our own topics, and return its time [s]."""
     if topic == EVENTS:
         event = Event.from_json(content)

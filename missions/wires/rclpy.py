@@ -115,10 +115,10 @@ class RclpyGoal(Goal):
         self.result = to_message(answer.result)
         self._progress(answer.status)
 
-    def when(self, future: Any, act: Callable[[Any], None]) -> None:  # noqa: ANN401  # of rclpy
+    def when(self, future: Any, act: Callable[[Any], None]) -> None:  # noqa: ANN401  # a future of rclpy
         """Call a function with the result of a future when it is there."""
 
-        def end(future: Any) -> None:  # noqa: ANN401  # of rclpy
+        def end(future: Any) -> None:  # noqa: ANN401  # a future of rclpy
             if future.exception() is None:
                 act(future.result())
             else:

@@ -109,7 +109,7 @@ def fit(value: Value, before: Value) -> Value:
     raise ScriptError(f"{value!r} does not fit an entry that holds {before!r}")
 
 
-def converted(text: str, wanted: Any) -> Value:  # noqa: ANN401  # a type
+def converted(text: str, wanted: Any) -> Value:  # noqa: ANN401  # a type of values
     """Return a text as a type: numbers by their beginning, lists as `1;2;3`, or `json:...`.
 
     Raises:
@@ -149,5 +149,5 @@ def literal(text: str) -> int | float | str:
     return text
 
 
-def type_name(wanted: Any) -> str:  # noqa: ANN401  # a type
+def type_name(wanted: Any) -> str:  # noqa: ANN401  # a type of values
     return getattr(wanted, "__name__", str(wanted))

@@ -24,7 +24,7 @@ class Add(PortsMixin, Behaviour, register=False):
         "one": PortInformation(float),
         "other": PortInformation(float, default_value=10.0),
     }
-    OUTPUT_PORTS = {"total": PortInformation(float, required=False)}  # noqa: RUF012  # as above
+    OUTPUT_PORTS = {"total": PortInformation(float, required=False)}  # noqa: RUF012  # as py_trees has it
 
     def update(self):
         self._set_output("total", self.get_input("one") + self.get_input("other"))
@@ -34,8 +34,8 @@ class Add(PortsMixin, Behaviour, register=False):
 class Say(PortsMixin, Behaviour, register=False):
     """Keeps what it is told."""
 
-    INPUT_PORTS = {"what": PortInformation(object)}  # noqa: RUF012  # as above
-    OUTPUT_PORTS = {}  # noqa: RUF012  # as above
+    INPUT_PORTS = {"what": PortInformation(object)}  # noqa: RUF012  # as py_trees has it
+    OUTPUT_PORTS = {}  # noqa: RUF012  # as py_trees has it
 
     def __init__(self, name, heard, times: int = 1, loud: bool = False):
         super().__init__(name)
