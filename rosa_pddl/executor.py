@@ -71,8 +71,8 @@ class RunningStep:
         self.number = number
         self.began_s = began_s
         self.behaviour: Behaviour | None = None
-        self._is_midway = False
-        self._set_up: list[Behaviour] = []
+        self._is_ticking = False
+        self._nodes_set_up: list[Behaviour] = []
 
     def begin(self, factory: Factory, parent: Behaviour, arguments: Mapping[str, object]) -> None:
         """Make the behaviour and set it up; an error gets a note that names the step."""
@@ -85,7 +85,7 @@ class RunningStep:
                 )
             self.behaviour = behaviour
             for node in behaviour.iterate():
-                self._set_up.append(node)
+                self._nodes_set_up.append(node)
                 node.setup(**arguments)
         except Exception as error:
             error.add_note(f"it was raised when the behaviour of {self.step} was made")
@@ -99,40 +99,40 @@ class RunningStep:
         """
         assert self.behaviour is not None
         ticked: list[Behaviour] = []
-        self._is_midway = True
+        self._is_ticking = True
         try:
             ticked.extend(self.behaviour.tick())
         except Exception as error:
             self._stop(self.behaviour)
             return Status.FAILURE, f"{type(error).__name__}: {error}", ticked
-        self._is_midway = False
+        self._is_ticking = False
         return self.behaviour.status, self.behaviour.feedback_message, ticked
 
     def release(self) -> None:
         """Stop the behaviour if it runs, and shut its nodes down."""
         if self.behaviour is not None:
-            if self._is_midway or self.behaviour.status == Status.RUNNING:
+            if self._is_ticking or self.behaviour.status == Status.RUNNING:
                 self._stop(self.behaviour)
             self.behaviour.parent = None
-        while self._set_up:
-            node = self._set_up[-1]
+        while self._nodes_set_up:
+            node = self._nodes_set_up[-1]
             try:
                 node.shutdown()
             except Exception as error:  # the other nodes must be released all the same
                 node.logger.error(f"{type(error).__name__} in shutdown of {self.step}: {error}")
-            self._set_up.pop()
+            self._nodes_set_up.pop()
 
     def _stop(self, behaviour: Behaviour) -> None:
         # if an interrupt cut a tick short, nodes below may have begun work and not be RUNNING yet
-        was_midway = self._is_midway
-        self._is_midway = True
+        was_midway = self._is_ticking
+        self._is_ticking = True
         for node in behaviour.iterate() if was_midway else (behaviour,):
             try:
                 node.stop(Status.INVALID)
             except Exception as error:  # the executor must go on all the same
                 node.logger.error(f"{type(error).__name__} in terminate of {self.step}: {error}")
                 node.status = Status.INVALID
-        self._is_midway = False
+        self._is_ticking = False
 
 
 def _check_factories(domain: Domain, behaviours: Mapping[str, Factory]) -> None:
@@ -230,9 +230,9 @@ class PlanExecutor(Behaviour):
         self._setup_arguments: dict[str, object] = {}
         self._running: list[RunningStep] = []
         self._ended_meanwhile: list[Step] = []
-        self._unseen: dict[Step, tuple[State, int]] = {}
+        self._missing_effects: dict[Step, tuple[State, int]] = {}  # atoms, how many times
         self._plan: PlanExecution | None = None
-        self._valid: tuple[object, ...] = ()
+        self._checked: tuple[object, ...] = ()  # for what a plan was found to be valid last
         self._seen_goals = self.goals.version
         self._ticked: list[Behaviour] = []
         self._cause: int | None = None
@@ -278,16 +278,16 @@ class PlanExecutor(Behaviour):
         self._use(domain)
         steps = () if self._plan is None else self._plan.steps
         if any(spelled in step.arguments for step in steps):
-            self._want(f"{spelled} is gone")
+            self._request_plan(f"{spelled} is gone")
 
     def _use(self, domain: Domain) -> None:
         self._domain = domain
         self._belief.use(domain)
         self._effects.use(domain)
         self.goals.use(domain)
-        self._unseen.clear()
+        self._missing_effects.clear()
         if self._client.is_under_way:
-            self._want("the objects changed")
+            self._request_plan("the objects changed")
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -420,17 +420,17 @@ class PlanExecutor(Behaviour):
     def _monitor_steps(self, state: State) -> None:
         """Stop the steps that cannot go on, or that take far too long."""
         self._effects.update()
-        for step, (missing, _) in tuple(self._unseen.items()):
+        for step, (missing, _) in tuple(self._missing_effects.items()):
             if missing <= state:  # what a step should bring about is seen after all
                 self._backoff.forget(step)
-                del self._unseen[step]
+                del self._missing_effects[step]
         for running in tuple(self._running):
             missing_condition = missing_meanwhile(self._domain, running.step, state)
             if missing_condition is not None:
                 self._release([running])
                 reason = because(self._domain, running.step, missing_condition, verb="became")
                 is_unfeasible = self._domain.is_feasibility(missing_condition)
-                self._want(reason, self._cause if is_unfeasible else None)
+                self._request_plan(reason, self._cause if is_unfeasible else None)
                 continue
             limit_s = self._expected_s(running.step) * self._policy.overrun
             passed_s = self._clock() - running.began_s
@@ -451,9 +451,9 @@ class PlanExecutor(Behaviour):
         if goals_changed:
             self._replanning.forget_failures()
             if self._plan is not None or self._client.is_under_way:
-                self._want(f"the goals changed: {flaw}" if flaw else "the goals changed")
+                self._request_plan(f"the goals changed: {flaw}" if flaw else "the goals changed")
         elif flaw is not None:
-            self._want(flaw, self._cause)
+            self._request_plan(flaw, self._cause)
 
     def _act_and_decide(self) -> Status:
         """Start the steps that may start, then decide what to ask and how the tick ends."""
@@ -480,9 +480,9 @@ class PlanExecutor(Behaviour):
                 self.feedback_message = why
                 return Status.FAILURE
             if replanning.had_no_plan:
-                self._want("the state changed", self._cause)
+                self._request_plan("the state changed", self._cause)
             else:
-                self._want("start")
+                self._request_plan("start")
         asked = replanning.ask_if_allowed(planned_from, self._shares_left())
         if asked is not None:
             self._ended_meanwhile.clear()
@@ -512,14 +512,14 @@ class PlanExecutor(Behaviour):
         """Return in words why the rest of the plan no longer works; checked if news is there."""
         domain = self._effects.domain
         now = plan, domain, state, self._belief.numbers
-        if self._valid != now:
+        if self._checked != now:
             flaw = plan.prediction(domain, state).flaw
             if flaw is not None:
                 return flaw
-            self._valid = now
+            self._checked = now
         return self._monitor.too_late(plan, state, self._shares_left())
 
-    def _want(self, reason: str, cause: int | None = None) -> None:
+    def _request_plan(self, reason: str, cause: int | None = None) -> None:
         """Note that a plan is wanted, and drop the current plan; running steps go on."""
         self._replanning.want(reason, cause)
         self._plan = None
@@ -566,7 +566,7 @@ class PlanExecutor(Behaviour):
                 break
             flaw = self._flaw(self._plan, state)
             if flaw is not None:
-                self._want(flaw)
+                self._request_plan(flaw)
                 break
             steps = self._plan.steps
             rested = [n for n in self._plan.startable if not self._backoff.wait_s(steps[n])]
@@ -587,7 +587,7 @@ class PlanExecutor(Behaviour):
 
     def _tick_steps(self, steps: tuple[RunningStep, ...]) -> bool:
         """Tick steps; return whether one has succeeded, so that others may start."""
-        any_ended = False
+        any_succeeded = False
         for running in steps:
             if running not in self._running:
                 continue
@@ -595,18 +595,18 @@ class PlanExecutor(Behaviour):
             self._ticked += ticked
             if status == Status.SUCCESS:
                 wrong = self._end(running)
-                any_ended |= wrong is None
+                any_succeeded |= wrong is None
                 if wrong is not None:
                     self._fail(running, wrong)
             elif status != Status.RUNNING:
                 self._fail(running, ": ".join(filter(None, [f"{running.step} failed", text])))
-        return any_ended
+        return any_succeeded
 
     def _fail(self, running: RunningStep, reason: str) -> None:
         """Release a step that failed, and count the failure."""
         self._release([running])
         self._backoff.add(running.step)
-        self._want(reason)
+        self._request_plan(reason)
 
     def _end(self, running: RunningStep) -> str | None:
         """Believe what a step brought about; return why it cannot have succeeded, or None."""
@@ -631,7 +631,7 @@ class PlanExecutor(Behaviour):
             expected = state.union(self._domain.feasible_atom(each.action) for each in unmet)
             is_flawed = self._plan.prediction(domain, state).flaw is not None
             if is_flawed and self._plan.prediction(domain, expected).flaw is None:
-                self._want("; ".join(map(str, unmet)))
+                self._request_plan("; ".join(map(str, unmet)))
         return None
 
     def _look_for_effects(self, step: Step, before: State) -> None:
@@ -643,13 +643,13 @@ class PlanExecutor(Behaviour):
         missing = atoms - self._belief.observe()
         if not missing:
             self._backoff.forget(step)
-            self._unseen.pop(step, None)
+            self._missing_effects.pop(step, None)
             return
-        count = self._unseen.get(step, (missing, 0))[1] + 1
-        self._unseen[step] = frozenset(missing), count
+        count = self._missing_effects.get(step, (missing, 0))[1] + 1
+        self._missing_effects[step] = frozenset(missing), count
         if count > self._policy.retries:
             self._backoff.add(step, count)
-            self._want(f"{step} did not bring {min(missing)} about {count} times")
+            self._request_plan(f"{step} did not bring {min(missing)} about {count} times")
 
     def _release(self, steps: Iterable[RunningStep]) -> None:
         """Stop steps that still run, take back what their starts made believed, release them."""

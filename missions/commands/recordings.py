@@ -76,7 +76,7 @@ def replay(
         decisions = decide(bag, name, task=task, watch=watched, traced=False)
     finally:
         gc.enable()
-    stopped = runs[0].trouble if runs else None
+    stopped = runs[0].early_verdict if runs else None
     if report is not None:
         pages[0].end(stopped or Verdict("replayed", f"decided once more from {recording.name}"))
         write_report(report, pages[0].recorder.recorded)

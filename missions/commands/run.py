@@ -192,7 +192,9 @@ def _watched(run: MissionRun, page: RunRecorder, steering: Steering) -> Verdict:
             view.run()
         finally:  # also when the program is to end
             if not going.done():
-                run.trouble = Verdict("aborted", f"stopped by hand after {run.world.now:.1f} s")
+                run.early_verdict = Verdict(
+                    "aborted", f"stopped by hand after {run.world.now:.1f} s"
+                )
                 steering.do({"do": "speed", "value": 0})
                 steering.do({"do": "resume"})
         return going.result()

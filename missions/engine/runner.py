@@ -78,8 +78,8 @@ class Listener:
 class MissionRun(ABC):
     """One run of a mission, to its end: by our knowledge base, manager and task layer, or others.
 
-    In each turn it lets the world go on to the time that it is due, receives what was published,
-    and decides.
+    In each turn it advances the world to the next message, or to the time of the next decision,
+    receives the messages, and decides.
 
     Attributes:
         model: of the mission, with all amendments so far.
@@ -90,7 +90,7 @@ class MissionRun(ABC):
         inputs: figures of published results that the manager uses, by name.
         compute_s: computing time on this machine by part [s]; no decision depends on it.
         listeners: those that are notified.
-        trouble: if set, the run ends at once with this verdict.
+        early_verdict: if set, the run ends at once with this verdict.
         findings: what may be mistakes in the PDDL, as sentences; complete at the end.
         adaptations: all so far, in the order in which they were decided.
         is_stuck: whether nothing can be done any more; the mission then ends and is judged.
@@ -98,7 +98,7 @@ class MissionRun(ABC):
     """
 
     tree: BehaviourTree | None = None
-    trouble: Verdict | None = None
+    early_verdict: Verdict | None = None
     is_stuck = False
     inputs: Mapping[str, float] = {}
     findings: Sequence[str] = ()
@@ -120,7 +120,7 @@ class MissionRun(ABC):
         self.adaptations: list[Adaptation] = []
         self._moved_s = _time_of(world)
         self._turns = 0
-        self._decided_s: list[tuple[float, float]] = []
+        self._decisions: list[tuple[float, float]] = []  # time [s], computing time [s]
         self._sampled_s = -SAMPLE_PERIOD_S
         self._last_plan: PlanRecord | None = None
 
@@ -185,7 +185,7 @@ class MissionRun(ABC):
         """Each reaction that the world reports, with the computing time during it [s]."""
         reactions = []
         for reaction in self.ask("reactions"):
-            spans = (s for time, s in self._decided_s if reaction.start_s <= time < reaction.end_s)
+            spans = (s for time, s in self._decisions if reaction.start_s <= time < reaction.end_s)
             reactions.append((reaction, sum(spans)))
         return reactions
 
@@ -224,15 +224,16 @@ class MissionRun(ABC):
             closing(world),
         ):
             try:
-                while not (self.trouble or self.is_stuck or self.is_done):
+                while not (self.early_verdict or self.is_stuck or self.is_done):
                     if world.now >= duration_s:
                         break
                     self._turn()
             finally:
                 self.end()
-        if self.trouble:
-            return self.trouble
+        if self.early_verdict:
+            return self.early_verdict
         verdict = self.verdict(self.results())
+        # the time limit may be a success of its own, but not before the time is over
         is_short = verdict.outcome in (*NO_SUCCESS, TIME_LIMIT)
         if is_short and self.is_done and world.now < duration_s:
             ended = f"the task ended after {world.now:.1f} s of {duration_s:g} s"
@@ -248,7 +249,7 @@ class MissionRun(ABC):
         for message in self.faults.alter(messages, now):
             self._receive(message)
         is_decided = self.decide()
-        self._decided_s.append((now, sum(self.compute_s.values()) - spent_s))
+        self._decisions.append((now, sum(self.compute_s.values()) - spent_s))
         if is_decided and self.listeners:
             self._sample()
             for listener in self.listeners:
@@ -396,10 +397,12 @@ class RosaRun(MissionRun):
         with self.spending("knowledge base"):
             heard = self._hears(message)
             if heard is not message:
-                check_message(heard, f"hear() of manager {self.manager}")
+                check_message(heard, f"hears() of manager {self.manager}")
             self._log.is_listening = True
-            problems = self._kb.receive(heard)
-            self._log.is_listening = False
+            try:
+                problems = self._kb.receive(heard)
+            finally:
+                self._log.is_listening = False
             for key in self.percepts.receive(heard):
                 self._log.sensed(f"{key} is {str(self.percepts.holds(key)).lower()}")
         return problems
@@ -407,7 +410,7 @@ class RosaRun(MissionRun):
     def decide(self) -> bool:
         is_due = self._now() >= self._runner.due
         if is_due or self._kb.revision != self._revision or self._kb.pending_plan is not None:
-            self._manage()  # between ticks, only a changed status needs the manager
+            self._manage()  # between ticks, only a changed status or an open plan needs the manager
         with self.spending("waiting for plans"):
             self._task.catch_up()
         with self.spending("task layer"):
@@ -464,9 +467,9 @@ class RosaRun(MissionRun):
 
     def on_plan(self, plan: PlanRecord) -> None:
         super().on_plan(plan)
-        if plan.outcome.is_trouble and self._task.is_planned:  # a tree may do something else then
+        if plan.outcome.is_trouble and self._task.is_planned:  # a tree goes on without a plan
             reason = f"no plan, {plan.outcome}: {plan.engine}"
-            self.trouble = Verdict("aborted", reason, plan.message)
+            self.early_verdict = Verdict("aborted", reason, plan.message)
 
     def _on_adaptation(self, adaptation: Adaptation) -> None:
         for listener in self.listeners:

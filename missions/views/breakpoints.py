@@ -146,7 +146,7 @@ def watch_breakpoints(run: MissionRun, rows: Rows, texts: Iterable[str]) -> None
         with suppress(MissionError, KnowledgeBaseError):  # a behaviour, or a run without a base
             explained = str(run.kb.explain(breakpoint.name))
         words = f"stopped at breakpoint {breakpoint.text!r} after {time_s:.1f} s"
-        run.trouble = Verdict("aborted", words, explained)
+        run.early_verdict = Verdict("aborted", words, explained)
 
     breakpoints = Breakpoints(end)
     breakpoints.all = read_breakpoints(run, texts)
