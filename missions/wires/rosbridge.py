@@ -258,8 +258,9 @@ class Rosbridge(Node):
             reply = Reply()
             reply.set_exception(Disconnected(f"{service} cannot be called: no connection"))
             return reply
-        lane = self.lane(service.rpartition("/")[0])
-        call = self._open_call(service, timeout_s, lane)
+        with self._lock:  # so that a lane that ends meanwhile ends this call, too
+            lane = self.lane(service.rpartition("/")[0])
+            call = self._open_call(service, timeout_s, lane)
         call.reply.add_done_callback(partial(self._close_blocked, call))
         message = {"op": "call_service", "id": call.id, "service": service}
         lane.send({**message, "type": kind, "args": request})
@@ -309,9 +310,9 @@ class Rosbridge(Node):
         """Forget a connection that has ended, and fail its calls."""
         with self._lock:
             self._lanes = {name: other for name, other in self._lanes.items() if other is not lane}
-        for call in list(self._calls.values()):
-            if call.details is lane:
-                self._end_call(call, Disconnected(f"the connection has ended {reason}".rstrip()))
+            calls = [call for call in self._calls.values() if call.details is lane]
+        for call in calls:
+            self._end_call(call, Disconnected(f"the connection has ended {reason}".rstrip()))
 
     def _close_blocked(self, call: Call, reply: Reply) -> None:
         """Close the connection of an overdue call, which may have blocked it for good."""

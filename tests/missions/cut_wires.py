@@ -34,7 +34,9 @@ def requests_through_cuts(seed, *, cuts):
         while not stop.is_set():
             number += 1
             try:
-                acknowledged.append(node.call("/do", "", {"number": number}).result(60)["number"])
+                reply = node.call("/do", "", {"number": number})
+                until(reply.done, turn=node.update)
+                acknowledged.append(reply.result()["number"])
             except RosError:  # it is not known whether it was done, so it is never sent again
                 time.sleep(0.01)
             node.publish("/events", "", {"number": number})
