@@ -397,7 +397,7 @@ class RosaRun(MissionRun):
         with self.spending("knowledge base"):
             heard = self._hears(message)
             if heard is not message:
-                check_message(heard, f"hears() of manager {self.manager}")
+                check_message(heard, f"hear() of manager {self.manager}")
             self._log.is_listening = True
             try:
                 problems = self._kb.receive(heard)
