@@ -6,7 +6,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from sys import stdlib_module_names
 from traceback import walk_tb
-from weakref import WeakKeyDictionary, WeakMethod, WeakSet
+from typing import Any
+from weakref import ReferenceType, WeakKeyDictionary, WeakSet, ref
 
 from py_trees.behaviour import Behaviour
 
@@ -72,15 +73,16 @@ def line_in_words(error: Exception, *ours: str) -> str:
     return place
 
 
-ErrorHandler = Callable[[Behaviour, Exception], None]
-"""Called with a behaviour and the exception that it has raised."""
+ErrorHandler = Callable[[Any, Behaviour, Exception], None]
+"""A method: called with its object, a behaviour, and the exception that it has raised."""
 _logged: WeakSet[Behaviour] = WeakSet()
-_handlers: WeakKeyDictionary[Behaviour, WeakMethod[ErrorHandler]] = WeakKeyDictionary()
+_handlers: WeakKeyDictionary[Behaviour, tuple[ReferenceType[Any], ErrorHandler]]
+_handlers = WeakKeyDictionary()
 
 
-def on_error(root: Behaviour, handler: ErrorHandler) -> None:
-    """Call a method with every exception that a behaviour of this tree raises."""
-    _handlers[root] = WeakMethod(handler)
+def on_error(root: Behaviour, owner: object, handler: ErrorHandler) -> None:
+    """Call a method of an object with every exception that a behaviour of this tree raises."""
+    _handlers[root] = ref(owner), handler
 
 
 def path_of(behaviour: Behaviour) -> list[Behaviour]:
@@ -101,7 +103,9 @@ def report(behaviour: Behaviour, error: Exception, note: str = "") -> None:
         _logged.add(behaviour)
         kind = type(behaviour).__name__
         _log.error("%s %r: %s", kind, behaviour.name, behaviour.feedback_message, exc_info=error)
-    reference = _handlers.get(path_of(behaviour)[-1])
-    handler = None if reference is None else reference()
-    if handler is not None:
-        handler(behaviour, error)
+    root = path_of(behaviour)[-1]
+    if root in _handlers:
+        reference, handler = _handlers[root]
+        owner = reference()
+        if owner is not None:
+            handler(owner, behaviour, error)
