@@ -56,7 +56,7 @@ class GuardedTree(BehaviourTree):
         self._present: list[Behaviour] = []
         self._bases: dict[KnowledgeBase, None] = {}
         self._setup_arguments: dict[str, Any] | None = None
-        on_error(root, self, GuardedTree._note_error)
+        on_error(root, self, GuardedTree.note_error)
         self._take_all()
 
     @property
@@ -131,7 +131,7 @@ class GuardedTree(BehaviourTree):
             for behaviour in reversed(list(self.root.iterate())):
                 stack.callback(behaviour.shutdown)
 
-    def _note_error(self, behaviour: Behaviour, error: Exception) -> None:
+    def note_error(self, behaviour: Behaviour, error: Exception) -> None:
         self.errors.append((behaviour, error))
         for visitor in self.visitors:
             if hasattr(visitor, "error"):
