@@ -132,6 +132,7 @@ class GuardedTree(BehaviourTree):
                 stack.callback(behaviour.shutdown)
 
     def note_error(self, behaviour: Behaviour, error: Exception) -> None:
+        """Keep the exception of a behaviour, and call the visitors that have a method `error`."""
         self.errors.append((behaviour, error))
         for visitor in self.visitors:
             if hasattr(visitor, "error"):
