@@ -302,6 +302,8 @@ class Records:
                 self.last_end = now, event.number
                 if reason:
                     self.end_reasons[event.number] = f"{name} is {result}: {reason}"
+                    for number in list(self.end_reasons)[:-_MOST_END_REASONS]:
+                        del self.end_reasons[number]
                 _finish(self.required[name], result=result, reason=reason, end=now)
                 del self.required[name]
             case "finish_plan", (number, result):

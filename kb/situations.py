@@ -17,7 +17,7 @@ from kb.forecast import feasible_until, suppose_forecast
 from kb.network import Network, Node, Ref
 from kb.planning import Choice, Obsolete, by_owner, firsts_by_priority
 from kb.state import State, in_order
-from kb.status import Status
+from kb.status import UNFEASIBLE
 from kb.views import ElementView, Readable
 
 ELEMENTS: Final = (
@@ -39,13 +39,13 @@ name."""
 def is_feasible(base: Readable, action: str) -> bool:
     """Tell whether an action can be done now: its status is not "unfeasible"."""
     with base.reading() as state:
-        return state.status[state.network.actions[action]] is not Status.UNFEASIBLE
+        return state.status[state.network.actions[action]] is not UNFEASIBLE
 
 
 def selectable_actions(base: Readable) -> tuple[str, ...]:
     """Names of the actions that can be done now."""
     with base.reading() as state:
-        return _selectable(state, state.network.actions.values())
+        return _selectable(state, tuple(state.network.actions.values()))
 
 
 def selectable_designs(base: Readable, function: str) -> tuple[str, ...]:
@@ -67,7 +67,7 @@ def best_configuration(base: Readable, action: str) -> Choice | None:
     """
     with base.reading() as state:
         node = state.network.actions[action]
-        if state.status[node] is Status.UNFEASIBLE:
+        if state.status[node] is UNFEASIBLE:
             return None
         designs = firsts_by_priority(state, node.requires)
         components = dict.fromkeys(part for design in designs for part in design.requires)
@@ -143,7 +143,7 @@ def explain_choice(base: Readable, element: ElementLike) -> explanation.ChoiceEx
 def outline(state: State) -> str:
     """Say in short what the actions of a state are."""
     actions = state.network.actions.values()
-    feasible = sum(state.status[action] is not Status.UNFEASIBLE for action in actions)
+    feasible = sum(state.status[action] is not UNFEASIBLE for action in actions)
     required = [action.name for action in actions if state.is_required(action)]
     words = f"{feasible} of {len(actions)} actions feasible"
     return f"{words}, required: {', '.join(required)}" if required else words
@@ -198,7 +198,11 @@ def preferred(
 
 
 def _selectable(state: State, nodes: Iterable[Node]) -> tuple[str, ...]:
-    return tuple(node.name for node in nodes if state.status[node] is not Status.UNFEASIBLE)
+    """Return the names of nodes that are not unfeasible; a situation lacks what came meanwhile."""
+    unfeasible = UNFEASIBLE
+    return tuple(
+        node.name for node in nodes if state.status.get(node, unfeasible) is not unfeasible
+    )
 
 
 def _adaptable(state: State, kind: str) -> tuple[str, ...]:

@@ -410,8 +410,7 @@ def events_in(connection: sqlite3.Connection, after: int = 0) -> Iterator[Event]
     for (data,) in connection.execute(query, (after,)):
         values = json.loads(data)
         plan = values.get("plan")
-        event = Event.from_json(values)
-        yield event._replace(plan=plan and restored(ReconfigurationPlan, plan))
+        yield Event.from_json(values)._replace(plan=plan and restored(ReconfigurationPlan, plan))
 
 
 def _row(event: Event) -> tuple[int, float, str, str, str]:

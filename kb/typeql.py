@@ -113,13 +113,10 @@ def _unexpected(text: str, file: str, error: Any) -> ModelFileError:  # noqa: AN
 
 def _place(file: str, where: Token | Statement) -> Place:
     """Return the place of a token, or of the first one in a statement."""
-    tokens = [where] if isinstance(where, Token) else where.scan_values(_is_token)
-    word = next(iter(tokens))
+    word = where
+    if not isinstance(word, Token):
+        word = next(word.scan_values(lambda value: isinstance(value, Token)))
     return Place(file, word.line or 1, word.column or 1)
-
-
-def _is_token(value: object) -> bool:
-    return isinstance(value, Token)
 
 
 # ---------------------------------------------------------------- words

@@ -269,14 +269,26 @@ def state_of(kb):
         return state
 
 
-class Twins:
-    """A knowledge base and its naive twin; everything happens to both."""
+def carry_out(kb, plan, result="completed"):
+    """Do what a plan says, and end it; return it."""
+    for name in plan.deactivate:
+        kb.component_active(name, False)
+    for name in plan.activate:
+        kb.component_active(name, True)
+    kb.finish_plan(plan, result)
+    return plan
 
-    def __init__(self, model):
+
+class Twins:
+    """A knowledge base and its naive twin; everything happens to both, `events` at once."""
+
+    def __init__(self, model, events=()):
         self.model = model
         self.clock = Clock()
         self.kb = KnowledgeBase(model, clock=self.clock)
         self.naive = Naive(model)
+        for event in events:
+            self.happen(event)
 
     def happen(self, event):
         self.pass_time(1.0)

@@ -29,9 +29,7 @@ FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 
 def state_after(story):
     model, events = story
-    twins = Twins(model)
-    for event in events:
-        twins.happen(event)
+    twins = Twins(model, events)
     return state_of(twins.kb)
 
 
@@ -422,9 +420,7 @@ def test_numbers_of_a_comparison_agree_with_its_status(operator, value, bound):
 @given(stories(max_size=20, asserting=False))
 def test_choice_is_the_selected_one_or_else_the_first(story):
     model, events = story
-    twins = Twins(model)
-    for event in events:
-        twins.happen(event)
+    twins = Twins(model, events)
     state = state_of(twins.kb)
     network = state.network
     promised = []

@@ -17,9 +17,7 @@ slow_to_generate = settings(
 @given(stories(), st.data())
 def test_adaptable_components_are_those_after_the_chosen_designs(story, data):
     model, happenings = story
-    twins = Twins(model)
-    for event in happenings:
-        twins.happen(event)
+    twins = Twins(model, happenings)
     before = twins.statuses()
     for _ in range(3):
         chosen = {
@@ -35,9 +33,7 @@ def test_adaptable_components_are_those_after_the_chosen_designs(story, data):
 @given(stories(), st.data())
 def test_event_lists_exactly_the_statuses_that_changed(story, data):
     model, happenings = story
-    twins = Twins(model)
-    for event in happenings:
-        twins.happen(event)
+    twins = Twins(model, happenings)
     told = []
     twins.kb.subscribe(told.append)
     kinds = {"function design": "design"}

@@ -376,9 +376,7 @@ def test_parameters_in_force_are_those_last_given_and_a_copy(kb):
 @given(stories(max_size=20, asserting=False))
 def test_nothing_is_left_to_choose_once_nothing_is_required(story):
     model, happenings = story
-    twins = Twins(model)
-    for event in happenings:
-        twins.happen(event)
+    twins = Twins(model, happenings)
     for action in model.actions:
         twins.happen(("cancel", action))
     twins.happen(("select", ({}, {})))

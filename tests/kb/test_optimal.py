@@ -8,7 +8,18 @@ import pytest
 from best_by_trying import best_by_trying, outcome
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from models import RANDOMS, Clock, Twins, events, is_so, mostly_some, state_of, stories, subsets
+from models import (
+    RANDOMS,
+    Clock,
+    Twins,
+    carry_out,
+    events,
+    is_so,
+    mostly_some,
+    state_of,
+    stories,
+    subsets,
+)
 
 from kb import InvalidValue, KnowledgeBase, Model, OptimalPlanner, PriorityPlanner, UnknownName
 from kb.optimal import Problem
@@ -57,9 +68,7 @@ def estimated_model(chance):
 def robots(draw):
     """Draw a knowledge base of which something happened, and which an action requires."""
     model = estimated_model(draw(RANDOMS))
-    twins = Twins(model)
-    for event in draw(st.lists(events(model), max_size=8)):
-        twins.happen(event)
+    twins = Twins(model, draw(st.lists(events(model), max_size=8)))
     twins.kb.request_action(draw(st.sampled_from(("x0", "x0", "x1"))))
     for name in draw(subsets(model.components)):  # what nobody uses is needed, too, or runs
         required = ("assert_required", ("component", name), True)
@@ -177,20 +186,10 @@ def model():
     return model
 
 
-def carried_out(kb, planner):
-    plan = planner.plan(kb)
-    for name in plan.deactivate:
-        kb.component_active(name, False)
-    for name in plan.activate:
-        kb.component_active(name, True)
-    kb.finish_plan(plan, "completed")
-    return plan
-
-
 def at_work(model, planner, preference="accuracy"):
     kb = KnowledgeBase(model, clock=Clock())
     kb.request_action("explore", preference)
-    return kb, carried_out(kb, planner)
+    return kb, carry_out(kb, planner.plan(kb))
 
 
 def selected(kb):
@@ -247,7 +246,7 @@ def test_restarted_component_says_what_stopped(model):
     planner = OptimalPlanner()
     kb, _ = at_work(model, planner)
     kb.component_active("lidar", False, "the process of lidar ended by itself")
-    plan = carried_out(kb, planner)
+    plan = carry_out(kb, planner.plan(kb))
     assert plan.activate == ("lidar",)
     assert plan.reason == "the process of lidar ended by itself; lidar is needed by explore"
     assert kb.designs["by both"].reason.startswith(BEST)
@@ -268,7 +267,7 @@ def test_facts_and_model_may_change_during_the_search(model, monkeypatch):
             return super().solve(effort)
 
     monkeypatch.setattr("kb.optimal.Problem", Slow)
-    carried_out(kb, OptimalPlanner())
+    carry_out(kb, OptimalPlanner().plan(kb))
     assert blocked == [False]
     assert "coarse" not in selected(kb)
 
@@ -313,7 +312,7 @@ def test_too_little_effort_is_said_with_the_gap():
 def test_without_any_effort_the_choice_is_by_priority():
     kb = intricate(8)
     planner = OptimalPlanner(effort=1e-9)
-    carried_out(kb, planner)
+    carry_out(kb, planner.plan(kb))
     assert planner.latest is None
     assert selected(kb) == [f"design 0 of {number}" for number in range(8)]
 

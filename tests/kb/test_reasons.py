@@ -5,7 +5,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from models import Clock
+from models import Clock, carry_out
 
 from kb import (
     InvalidValue,
@@ -144,14 +144,6 @@ def test_why_a_component_is_inactive_is_the_plans_reason():
 # selections
 
 
-def carry_out(kb, plan):
-    for name in plan.activate:
-        kb.component_active(name, True)
-    for name in plan.deactivate:
-        kb.component_active(name, False)
-    kb.finish_plan(plan, "completed")
-
-
 def test_reason_of_a_choice_is_kept_with_choice_and_plan(lives):
     lives.kb.request_action("explore")
     carry_out(
@@ -185,6 +177,19 @@ def test_a_plan_says_which_request_has_ended_and_why():
     assert PriorityPlanner().plan(kb).reason == (
         "explore is abandoned: it is no longer in the model; "
         "what was active or selected is no longer needed"
+    )
+
+
+def test_a_plan_names_the_newest_four_requests_that_ended():
+    kb = KnowledgeBase(rover())
+    kb.request_action("explore")
+    carry_out(kb, PriorityPlanner().plan(kb))
+    for number in range(9):
+        kb.request_action("explore")
+        kb.cancel_action("explore", "failed", f"attempt {number}")
+    assert PriorityPlanner().plan(kb).reason == (
+        "explore is failed: attempt 5; explore is failed: attempt 6; "
+        "explore is failed: attempt 7; 2 more"
     )
 
 

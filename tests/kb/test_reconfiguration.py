@@ -3,7 +3,7 @@
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from models import Clock, Twins, choices, stories
+from models import Clock, Twins, carry_out, choices, stories
 
 from kb import KnowledgeBase, Model, Status
 
@@ -14,10 +14,7 @@ slow_to_generate = settings(
 
 def lived(story):
     model, happenings = story
-    twins = Twins(model)
-    for event in happenings:
-        twins.happen(event)
-    return twins
+    return Twins(model, happenings)
 
 
 def check_selected(kb, designs, configurations):
@@ -124,14 +121,6 @@ def rover():
 @pytest.fixture
 def kb(rover, clock):
     return KnowledgeBase(rover, clock=clock)
-
-
-def carry_out(kb, plan, result="completed"):
-    for name in plan.deactivate:
-        kb.component_active(name, False)
-    for name in plan.activate:
-        kb.component_active(name, True)
-    kb.finish_plan(plan, result)
 
 
 def test_component_of_both_designs_is_kept(kb):

@@ -86,9 +86,7 @@ def suppose(asked, assumed):
 @given(stories(aging=True), st.data())
 def test_a_situation_answers_as_if_its_assumptions_were_facts(story, data):
     model, happenings = story
-    twins = Twins(model)
-    for event in happenings:
-        twins.happen(event)
+    twins = Twins(model, happenings)
     before = twins.statuses()
     first = data.draw(assumptions(model))
     second = data.draw(assumptions(model))
@@ -104,9 +102,7 @@ def test_a_situation_answers_as_if_its_assumptions_were_facts(story, data):
 @given(stories(max_size=8), st.data())
 def test_situation_stays_what_it_was_when_its_base_learns(story, data):
     model, happenings = story
-    twins = Twins(model)
-    for event in happenings:
-        twins.happen(event)
+    twins = Twins(model, happenings)
     assumed = data.draw(assumptions(model))
     situation = suppose(twins.kb, assumed)
     naive = supposed(twins.naive, assumed)
