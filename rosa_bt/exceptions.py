@@ -1,12 +1,12 @@
 """The errors of this package, and how an exception of a behaviour is reported."""
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
 from sys import stdlib_module_names
 from traceback import walk_tb
-from typing import Any
+from typing import Protocol
 from weakref import ReferenceType, WeakKeyDictionary, WeakSet, ref
 
 from py_trees.behaviour import Behaviour
@@ -73,16 +73,19 @@ def line_in_words(error: Exception, *ours: str) -> str:
     return place
 
 
-ErrorHandler = Callable[[Any, Behaviour, Exception], None]
-"""A method: called with its object, a behaviour, and the exception that it has raised."""
 _logged: WeakSet[Behaviour] = WeakSet()
-_handlers: WeakKeyDictionary[Behaviour, tuple[ReferenceType[Any], ErrorHandler]]
-_handlers = WeakKeyDictionary()
+_listeners: WeakKeyDictionary[Behaviour, ReferenceType["ErrorListener"]] = WeakKeyDictionary()
 
 
-def on_error(root: Behaviour, owner: object, handler: ErrorHandler) -> None:
-    """Call a method of an object with every exception that a behaviour of this tree raises."""
-    _handlers[root] = ref(owner), handler
+class ErrorListener(Protocol):
+    """Hears of the exceptions that the behaviours of a tree raise."""
+
+    def note_error(self, behaviour: Behaviour, error: Exception) -> None: ...
+
+
+def on_error(root: Behaviour, listener: ErrorListener) -> None:
+    """Call `note_error` with every exception that a behaviour of this tree raises."""
+    _listeners[root] = ref(listener)
 
 
 def path_of(behaviour: Behaviour) -> list[Behaviour]:
@@ -103,9 +106,7 @@ def report(behaviour: Behaviour, error: Exception, note: str = "") -> None:
         _logged.add(behaviour)
         kind = type(behaviour).__name__
         _log.error("%s %r: %s", kind, behaviour.name, behaviour.feedback_message, exc_info=error)
-    root = path_of(behaviour)[-1]
-    if root in _handlers:
-        reference, handler = _handlers[root]
-        owner = reference()
-        if owner is not None:
-            handler(owner, behaviour, error)
+    reference = _listeners.get(path_of(behaviour)[-1])
+    listener = None if reference is None else reference()
+    if listener is not None:
+        listener.note_error(behaviour, error)

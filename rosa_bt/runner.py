@@ -56,7 +56,7 @@ class GuardedTree(BehaviourTree):
         self._present: list[Behaviour] = []
         self._bases: dict[KnowledgeBase, None] = {}
         self._setup_arguments: dict[str, Any] | None = None
-        on_error(root, self, GuardedTree.note_error)
+        on_error(root, self)
         self._take_all()
 
     @property

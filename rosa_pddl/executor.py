@@ -135,7 +135,12 @@ class RunningStep:
         self._is_ticking = False
 
 
-def _check_factories(domain: Domain, behaviours: Mapping[str, Factory]) -> None:
+def check_behaviours(domain: Domain, behaviours: Mapping[str, Factory]) -> None:
+    """Check that each PDDL action has its behaviour, and each behaviour its PDDL action.
+
+    Raises:
+        MissingBehaviourError, UnknownNameError: one of them is missing, or is no factory.
+    """
     names = ", ".join(sorted(behaviours)) or "none"
     for schema in domain.schemas:
         if schema not in behaviours:
@@ -211,7 +216,7 @@ class PlanExecutor(Behaviour):
             message = f"sense is {sense!r}, expected a function that returns what is sensed"
             raise SensingError(f"{message}, such as lambda: {{'(lit room)': True}}")
         self._findings = domain.check(kb)
-        _check_factories(domain, behaviours)
+        check_behaviours(domain, behaviours)
         self.goals = Goals(domain)
         self._domain = domain
         self._factories = dict(behaviours)

@@ -16,12 +16,13 @@ from kb.checks import Finding, finding_of, rules
 from kb.files import read_text
 from missions.commands import FAILED, Text, Texts, complain, open_console, tree_builder
 from missions.engine.mission import Mission, MissionError, Percepts, built, find_mission
-from missions.engine.task_layer import build_task, mission_domain
+from missions.engine.task_layer import mission_domain
 from missions.views.output import as_json
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_bt.composites import unguarded
 from rosa_pddl import load_domain
 from rosa_pddl.domain import Domain
+from rosa_pddl.executor import check_behaviours
 
 COLOURS: Final = {"error": "red", "warning": "yellow"}
 _UNKNOWN: Final = "unknown-action"
@@ -89,8 +90,10 @@ def judge(
     domains = [load_domain(*pddl)] if pddl else []
     if mission is not None and mission.tree is not None:
         builders[f"the tree of {mission.name}"] = mission.tree
+    planned = None
     if mission is not None and mission.domain is not None and mission.problem is not None:
-        domains.append(mission_domain(mission))
+        planned = mission_domain(mission)
+        domains.append(planned)
     places = defaultdict[str, list[str]](list)
     findings: list[Finding] = []
     for title, build in builders.items():
@@ -101,11 +104,11 @@ def judge(
     is_complete = places.pop("", None) is None  # a tree may get any action later
     of_model = list(_placed(model.check(places), places, is_complete))
     codes = {finding.code for finding in of_model}
-    if mission is not None and mission.problem is not None and _UNKNOWN not in codes:
-        build_task("pddl", mission, _Tolerant(model), Percepts()).close()  # each has its behaviour
+    if mission is not None and planned is not None and _UNKNOWN not in codes:
+        check_behaviours(planned, mission.actions)
         unmentioned = [f.element for f in of_model if f.code == _UNMENTIONED]
         names = [repr(element.removeprefix("action ")) for element in unmentioned]
-        for note in mission_domain(mission).check(KnowledgeBase(model)):
+        for note in planned.check(KnowledgeBase(model)):
             if not any(name in note for name in names):  # else another finding says it
                 findings.append(finding_of("file-note", f"mission {mission.name}", note))
     return [*of_model, *findings]

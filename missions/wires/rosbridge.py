@@ -366,9 +366,14 @@ class Rosbridge(Node):
                 self._end_call(call, RosError(f"{call.service} failed: {values}"))
         elif message["op"] == "call_service":
             service = message["service"]
-            values = self._answers[service](message.get("args", {}))
-            about = {"op": "service_response", "id": message.get("id"), "service": service}
-            self._main.send({**about, "values": values, "result": True})
+            answer = self._answers[service]
+            response = {"op": "service_response", "id": message.get("id"), "service": service}
+            try:
+                response |= {"values": answer(message.get("args", {})), "result": True}
+            except Exception as error:  # whoever calls must not wait for ever
+                self.refused.add(error)
+                response |= {"values": f"{type(error).__name__}: {error}", "result": False}
+            self._main.send(response)
 
     def _see(self, action: str, message: Message) -> None:
         """Tell the goals of an action which goals its server has."""

@@ -91,6 +91,21 @@ def test_hearer_that_fails_does_not_end_the_node(pair):
     assert other.refused["KeyError: 'nothing'"]
 
 
+def test_call_whose_server_raises_is_answered_as_refused(pair):
+    node, other = pair
+    other.serve("/other/fail", ASK, lambda request: request["nothing"])
+    answers = []
+
+    def turn():
+        try:
+            answers.append(node.call("/other/fail", ASK, {}).result(60))
+        except RosError as error:
+            answers.append({"success": "'nothing'" not in str(error)})
+
+    until(lambda: answers and not answers[-1]["success"], turn=turn)
+    assert other.refused["KeyError: 'nothing'"]
+
+
 @pytest.mark.parametrize("wire", WIRES)
 def test_call_that_nobody_serves_fails_in_words(wire):
     now = [0.0]
