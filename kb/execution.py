@@ -84,7 +84,7 @@ class StagedExecutor:
         self._kb: KnowledgeBase | None = None
         self._components: Mapping[str, Node] = {}
         self._configurations: Mapping[str, Node] = {}
-        self._in_failure: set[Node] = set()
+        self._in_failure: set[str] = set()
         self._plan: ReconfigurationPlan | None = None
         self._stages: Iterator[list[_Command]] = iter(())
         self._stage: list[_Command] = []
@@ -189,11 +189,11 @@ class StagedExecutor:
             self._components = state.network.components
             self._configurations = state.network.configurations
             nodes = self._components.values()
-            in_failure = {node for node in nodes if state.status[node] is Status.FAILURE}
+            in_failure = {node.name for node in nodes if state.status[node] is Status.FAILURE}
             released = [
                 part
                 for node in nodes
-                if node in self._in_failure - in_failure
+                if node.name in self._in_failure - in_failure
                 for part in node.requires
                 if state.reason("asserted", part).text.startswith(_NOT_SET)
             ]
