@@ -10,7 +10,7 @@ from kb.elements import Component, ComponentKind, Configuration, is_number, whol
 from kb.exceptions import InvalidValue
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import Looking, ManagedSystem, check_methods, look, words_of, wrong_answer
-from kb.network import Node
+from kb.network import Network, Node
 from kb.records import Attempt, ReconfigurationPlan
 from kb.status import Status
 
@@ -95,7 +95,7 @@ class StagedExecutor:
         self._back_off = back_off
         self._hold = hold
         self._plan: ReconfigurationPlan | None = None
-        self._revision = -1
+        self._network: Network | None = None
         self._stages: Iterator[list[_Command]] = iter(())
         self._stage: list[_Command] = []
         self._failed: set[str] = set()
@@ -111,10 +111,10 @@ class StagedExecutor:
         """
         plan = kb.pending_plan
         with kb.reading() as state:
-            revision = state.network.revision
-        if self._is_under_way or plan is not self._plan or revision != self._revision:
+            network = state.network
+        if self._is_under_way or plan is not self._plan or network is not self._network:
             self._begin(kb, plan)
-            self._revision = revision
+            self._network = network
         if plan is not None:
             self._is_under_way = True
             self._advance(kb, plan)
