@@ -337,7 +337,7 @@ class RosaRun(MissionRun):
         self.percepts = Percepts()
         self._kb = KnowledgeBase(self.model, clock=self._now)
         self._manager = ConfigurationManager(self._kb, world.managed, planner=planner)
-        self._task = build_task(task, mission, self._kb, self.percepts, settings.planning_delay_s)
+        self._task = build_task(task, mission, self._kb, self.percepts, settings)
         plans = self._task.plans if self._task.is_planned else tuple
         self._log = AdaptationLog(self._kb, self._on_adaptation, plans)
         self._log.is_listening = False

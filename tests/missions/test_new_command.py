@@ -309,6 +309,7 @@ def test_mission_that_is_only_planned_has_no_tree(new):
 def test_unknown_setting_is_answered_with_those_there_are(new):
     with pytest.raises(MissionError) as refusal:
         open_run(find_mission(f"{new()}:MISSION"), settings={"zzz": "1"})
-    assert "there are duration_s, tick_period_s, planning_delay_s, cave_m, draws_per_s" in str(
-        refusal.value
+    assert (
+        "there are duration_s, tick_period_s, planning_delay_s, plan_ahead, cave_m, draws_per_s"
+        in str(refusal.value)
     )
