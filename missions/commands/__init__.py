@@ -41,7 +41,7 @@ def open_console() -> "Console":
     return console
 
 
-def assignments(texts: Texts, option: str, form: str = "NAME=VALUE") -> dict[str, str]:
+def assignments(texts: Texts, option: str) -> dict[str, str]:
     """Read the values of an option such as `--set NAME=VALUE`, by name.
 
     Raises:
@@ -53,7 +53,7 @@ def assignments(texts: Texts, option: str, form: str = "NAME=VALUE") -> dict[str
     for text in texts or ():
         name, equals, value = text.partition("=")
         if not equals or not name:
-            raise MissionError(f"{option} takes {form}, not {text!r}")
+            raise MissionError(f"{option} takes NAME=VALUE, not {text!r}")
         values[name.strip()] = value.strip()
     return values
 

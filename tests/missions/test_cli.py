@@ -137,7 +137,6 @@ def test_mission_that_fails_its_goal_exits_1(rosa):
         ("run suave --set duration_s=-3", "is '-3'; allowed is a number of seconds from 0.001"),
         ("run suave --set duration_s=nan", "duration_s is 'nan'"),
         ("run suave --set duration_s", "--set takes NAME=VALUE, not 'duration_s'"),
-        ("run suave --set rows 3", "--set takes NAME=VALUE, not 'rows'"),
         ("run suave --set mass_kg=heavy", "mass_kg"),
         ("run suave --set tick_period_s=1e-12", "allowed is a number of seconds from 0.001"),
         ("run suave --set drag_surge=1e300 --no-progress", "became unstable after"),

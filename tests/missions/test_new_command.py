@@ -16,7 +16,6 @@ from running import called
 
 from kb import KnowledgeBase
 from missions.baselines import Policy, open_run
-from missions.commands.new import TEMPLATE
 from missions.engine.mission import Mission, MissionError, find_mission
 from missions.engine.recording import failed, measured
 from missions.experiments.campaign import read_campaign
@@ -129,12 +128,6 @@ def test_robot_that_cannot_be_written_is_refused_and_nothing_is(
     assert code == 2
     assert message in " ".join(err.split())
     assert not list(tmp_path.iterdir())
-
-
-def test_every_template_is_written_by_some_variant():
-    from missions.commands.new import FILES
-
-    assert {path.name for path in TEMPLATE.iterdir()} == set(FILES)
 
 
 def ended(mission, manager, **settings):
