@@ -66,7 +66,6 @@ TREE = Sequence("empty", memory=False)
 
 
 EXPLORER = """insert
-$model isa RobotModel, has model-name "explorer";
 $camera isa Component, has component-name "camera";
 $see isa Function, has function-name "see";
 (function: $see, required-component: $camera) isa function-design,

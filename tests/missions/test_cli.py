@@ -99,7 +99,7 @@ def test_tree_that_plans_tells_its_plans_as_they_are_made(rosa):
 
 
 def test_run_writes_all_files_that_are_asked_for(rosa, tmp_path):
-    names = ("json", "plot", "timing", "record")
+    names = ("json", "plot", "record")
     options = " ".join(f"--{name} {tmp_path}/out.{name}" for name in names)
     code, _, err = rosa(f"run suave_extended --task pddl --set duration_s=130 {options}")
     assert code == 0, err
@@ -109,9 +109,6 @@ def test_run_writes_all_files_that_are_asked_for(rosa, tmp_path):
     assert data["settings"] == {"duration_s": "130"}
     assert data["task"] == "pddl"
     assert files["plot"].read_bytes().startswith(b"\x89PNG")
-    timing = json.loads(files["timing"].read_text())
-    assert timing["simulated_s"] == 130
-    assert sum(timing["compute_s"].values()) <= timing["wall_s"]
     assert len(files["record"].read_text().splitlines()) > 200
 
 
@@ -140,7 +137,6 @@ def test_mission_that_fails_its_goal_exits_1(rosa):
         ("run suave --set duration_s=-3", "is '-3'; allowed is a number of seconds from 0.001"),
         ("run suave --set duration_s=nan", "duration_s is 'nan'"),
         ("run suave --set duration_s", "--set takes NAME=VALUE, not 'duration_s'"),
-        ("run suave --set rows 3", "--set takes NAME=VALUE, not 'rows'"),
         ("run suave --set mass_kg=heavy", "mass_kg"),
         ("run suave --set tick_period_s=1e-12", "allowed is a number of seconds from 0.001"),
         ("run suave --set drag_surge=1e300 --no-progress", "became unstable after"),
@@ -169,7 +165,7 @@ def test_no_file_is_left_behind_when_the_mission_cannot_run(rosa, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("option", ["json", "plot", "timing", "record"])
+@pytest.mark.parametrize("option", ["json", "plot", "record"])
 def test_full_device_is_one_clear_message(rosa, option):
     code, _, err = rosa(f"run suave --set duration_s=5 --{option} /dev/full")
     assert code == 2
@@ -251,7 +247,6 @@ def test_help_names_every_option_and_manager():
         "seed",
         "json",
         "plot",
-        "timing",
         "record",
         "set",
         "speed",
