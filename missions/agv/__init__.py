@@ -17,7 +17,7 @@ from missions.agv.tree import PddlNames, PlanningState, Route, agv_tree
 from missions.agv.world import AgvKind, Incident
 from missions.engine.mission import Mission, Percepts
 
-__all__ = ["MISSION", "PAPER", "WEIGHTS", "Incident", "agv_mission"]
+__all__ = ["Incident", "MISSION", "PAPER", "WEIGHTS", "agv_mission"]
 
 WEIGHTS: Final[Mapping[str, float]] = MappingProxyType(
     {"time": 1.0, "energy": 0.02, "collisions": 10.0}
