@@ -105,11 +105,11 @@ def list_settings(
     manager: Annotated[str, Option(help="Also list the settings of this manager.")] = "ours",
 ) -> None:
     """List the settings of a mission: default, unit, what is allowed, meaning and source."""
-    from missions.engine.managers import options_of
     from missions.engine.mission import find_mission, settings_of
+    from missions.engine.runner import find_manager
 
     named = find_mission(mission)
-    for setting in (*options_of(manager, named), *settings_of(named)):
+    for setting in (*find_manager(manager, named).options, *settings_of(named)):
         default = named.fixed.get(setting.name, setting.default)
         shown = f"{default:g}" if isinstance(default, float) else str(default)
         row = f"{setting.name:<32} {shown:>9} {setting.unit:<8} {setting.allowed}"

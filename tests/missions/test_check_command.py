@@ -46,9 +46,6 @@ def of_both(kb, percepts):
 def of_kb(kb, period=1.0):
     return BehaviourTree(IsActionFeasible("can it?", kb, "explore"))
 
-def of_the_stubborn(kb):
-    return Explore("on and on", kb, "explore", even_if_unfeasible=True)
-
 def of_nothing():
     return Sequence("empty", memory=False)
 
@@ -203,17 +200,6 @@ def test_action_that_planning_passes_over_is_told_once(rosa, monkeypatch):
     _, out, _ = rosa("--mission planned")
     assert "action surface is mentioned nowhere" in out
     assert "never planned" not in out
-
-
-def test_action_that_goes_on_unfeasible_is_named(rosa):
-    code, out, _ = rosa("explorer.tql --tree trees:of_the_stubborn")
-    assert code == 0
-    place = "behaviour 'on and on' of tree trees:of_the_stubborn"
-    assert out.splitlines()[:2] == [
-        "warning unguarded-action",
-        f"  {place} goes on with explore when that is unfeasible",
-    ]
-    assert rosa("explorer.tql --tree trees:of_the_stubborn --strict")[0] == 1
 
 
 @pytest.mark.parametrize(

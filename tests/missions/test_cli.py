@@ -91,7 +91,7 @@ def test_tree_that_plans_tells_its_plans_as_they_are_made(rosa):
 
 
 def test_run_writes_all_files_that_are_asked_for(rosa, tmp_path):
-    names = ("json", "plot", "timing", "record")
+    names = ("json", "plot", "record")
     options = " ".join(f"--{name} {tmp_path}/out.{name}" for name in names)
     code, _, err = rosa(f"run suave_extended --task pddl --set duration_s=130 {options}")
     assert code == 0, err
@@ -101,9 +101,6 @@ def test_run_writes_all_files_that_are_asked_for(rosa, tmp_path):
     assert data["settings"] == {"duration_s": "130"}
     assert data["task"] == "pddl"
     assert files["plot"].read_bytes().startswith(b"\x89PNG")
-    timing = json.loads(files["timing"].read_text())
-    assert timing["simulated_s"] == 130
-    assert sum(timing["compute_s"].values()) <= timing["wall_s"]
     assert len(files["record"].read_text().splitlines()) > 200
 
 

@@ -58,7 +58,8 @@ def test_plan_is_shown_with_what_each_step_needs(rosa):
 
 
 def test_files_hold_outcome_steps_and_a_picture(rosa, tmp_path):
-    assert rosa(f"{EXTENDED} --feasible Recharge --json plan.json --svg plan.svg")[0] == 0
+    low = "--mission suave_extended --situation battery_level=0.2"
+    assert rosa(f"{low} --json plan.json --svg plan.svg")[0] == 0
     data = json.loads((tmp_path / "plan.json").read_text())
     steps = [step["action"] for step in data.pop("steps")]
     assert steps == ["recharge", "search_pipeline", "inspect_pipeline"]
@@ -116,12 +117,8 @@ NOT_ACTION = "(search_pipeline_action recharge)"
     ("question", "lines"),
     [
         (
-            "--mission suave --feasible search_pipeline",
+            "--mission suave --situation follow_pipeline=failed",
             [NOT_INSPECTED, f"unfeasible now: inspect_pipeline; {WOULD_BE}"],
-        ),
-        (
-            "--mission suave --feasible '' --goal '(pipeline_inspected pipeline)'",
-            [NOT_INSPECTED, f"unfeasible now: search_pipeline, inspect_pipeline; {WOULD_BE}"],
         ),
         (
             f"--mission suave_extended --situation {ALL_BROKEN}",
@@ -135,7 +132,7 @@ NOT_ACTION = "(search_pipeline_action recharge)"
             [f"out of reach: {NOT_ACTION}"],
         ),
         (
-            f"{EXTENDED} --feasible recharge --goal '{NOT_ACTION}'",
+            f"--mission suave_extended --situation battery_level=0.2 --goal '{NOT_ACTION}'",
             [
                 f"out of reach: {NOT_ACTION}",
                 "there would be no plan even if every action were feasible",
@@ -160,7 +157,8 @@ def test_problem_file_that_states_feasibility_is_believed(rosa, tmp_path):
 
 
 def test_without_a_plan_only_the_json_is_written(rosa, tmp_path):
-    code, lines, _ = rosa("--mission suave --feasible '' --json plan.json --svg plan.svg")
+    failed = "--mission suave --situation spiral_search=failed"
+    code, lines, _ = rosa(f"{failed} --json plan.json --svg plan.svg")
     assert code == 1
     assert [path.name for path in tmp_path.iterdir()] == ["plan.json"]
     data = json.loads((tmp_path / "plan.json").read_text())
@@ -174,11 +172,9 @@ def test_without_a_plan_only_the_json_is_written(rosa, tmp_path):
         ("", "nothing to plan; give a domain and a problem file, or a mission with --mission"),
         (f"{EXTENDED} more.pddl", NO_MISSION),
         (f"nowhere.pddl {FILE}", "nowhere.pddl: cannot read this PDDL file: No such file"),
-        (f"{EXTENDED} --feasible serch", "--feasible names 'serch', which is no ROSA action"),
         (f"{EXTENDED} --situation battery_level=0.2", "name its file with --model"),
         ("--mission suave --situation water", "takes ATTRIBUTE=NUMBER or COMPONENT=failed"),
         ("--mission suave --situation visibility=3", "unknown attribute 'visibility'"),
-        ("--mission suave --situation a=3 --feasible b", "give --feasible or --situation, not"),
         (
             "--mission suave --goal '(pipeline_lost p)'",
             "no declared predicate; nearest: pipeline_found",
