@@ -113,10 +113,9 @@ class DiagnosticRules:
             try:
                 rule = _Rule(entry) if isinstance(entry, str) else _Rule(**entry)
             except TypeError:
-                fields = ", ".join(_Rule._fields)
                 raise InvalidValue(
-                    f"the rule for {pattern!r} is the name of a component, or a table of {fields}; "
-                    f"not {entry!r}"
+                    f"the rule for {pattern!r} is the name of a component, or a table of "
+                    f"component, attributes, warn, stale; not {entry!r}"
                 ) from None
             for name, words in _MEANINGS.items():
                 word = getattr(rule, name)

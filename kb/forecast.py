@@ -19,7 +19,6 @@ from kb.elements import Attribute, Constraint, exact, finite_number, listed
 from kb.exceptions import InvalidValue
 from kb.explain import shortest, why
 from kb.network import Node
-from kb.records import RequiredAction
 from kb.state import State
 from kb.status import OPERATORS, Status
 from kb.views import Readable
@@ -32,8 +31,6 @@ _ERRORS_IN_HORIZON: Final = 4
 """More errors in a horizon would overlap."""
 _ADAPTATION: Final = 0.1
 """How quickly an interval adapts after a hit or a miss."""
-_REACH: Final = 4.0
-"""How many times further ahead than it was checked a forecast goes."""
 _FEWEST_POINTS: Final = 8
 _MOST_POINTS: Final = 24
 """How many points the slope of a line is taken from."""
@@ -42,12 +39,9 @@ _JUMP: Final = 10.0
 """A step against the usual direction that is so many times the usual one restores an attribute."""
 _LOOKS: Final = 128
 """At how many instants a horizon is looked at."""
-_TICKS: Final = 2**20
+_HALVINGS: Final = 20
 """How finely the span between two looks is searched."""
 _ROUNDING: Final = 1e-9
-_WORSE = -1
-_EXPECTED = 0
-_BETTER = 1
 
 
 class Series(NamedTuple):
@@ -92,33 +86,6 @@ def restorations(values: Sequence[float]) -> list[int]:
     return counts
 
 
-def rates_by_measurement(
-    element: Attribute, times: Sequence[float], requests: Iterable[RequiredAction]
-) -> list[frozenset[str]]:
-    """Return the names of the rates that applied from each measurement on.
-
-    The name of a rate is that of its action; it is empty if the rate always applies.
-    """
-    changes = []
-    for request in requests:
-        changes.append((request.start, request.action, True))
-        if request.end is not None:
-            changes.append((request.end, request.action, False))
-    changes.sort(reverse=True)
-    actions = {""}
-    names = []
-    for time in times:
-        while changes and changes[-1][0] <= time:
-            _, action, is_start = changes.pop()
-            (actions.add if is_start else actions.discard)(action)
-        names.append(_applying(element, actions))
-    return names
-
-
-def _applying(element: Attribute, actions: Iterable[str]) -> frozenset[str]:
-    return frozenset({rate.while_ for rate in element.rates} & {"", *actions})
-
-
 class Forecast(NamedTuple):
     """The expected value of an attribute at a time [s], its interval, and why.
 
@@ -131,9 +98,9 @@ class Forecast(NamedTuple):
     value: float | None
     low: float | None
     high: float | None
-    level: float
     reason: str
     change: str = ""
+    level: float = LEVEL
 
     def __str__(self) -> str:
         return self.reason
@@ -141,17 +108,18 @@ class Forecast(NamedTuple):
 
 def _unknown(attribute: str, why_not: str, time: float, now: float) -> Forecast:
     reason = f"it is not known what {attribute} is in {time - now:.3g} s: {why_not}"
-    return Forecast(attribute, time, None, None, None, LEVEL, reason)
+    return Forecast(attribute, time, None, None, None, reason)
 
 
 class Course:
-    """How an attribute goes on from its measurements.
+    """How an attribute goes on from its measurements: by the sum of the rates that apply.
 
     Args:
         node: the attribute.
         series: its measurements.
         rates: the names of the rates that apply from each measurement on; those of the last one
-            apply as far as the forecast goes.
+            apply as far as the forecast goes. The name of a rate is that of its action; it is
+            empty if the rate always applies.
         is_stated: somebody states what is done meanwhile. Else the errors include what came of
             actions that began or ended.
     """
@@ -167,8 +135,9 @@ class Course:
         self._slopes = {rate.while_: rate.per_s for rate in self._element.rates}
         self._unlearned = {rate.while_ for rate in self._element.rates if rate.learns}
         self._learn()
-        self._is_by_rates = bool(rates[-1]) or not self._element.forecasting
-        self._is_steady = self._is_by_rates and (is_stated or not any(self._slopes))
+        is_by_rates = bool(rates[-1]) or not self._element.forecasting
+        self._is_trend = self._element.forecasting == "trend" and not is_by_rates
+        self._is_steady = is_by_rates and (is_stated or not any(self._slopes))
         steps = [time - before for before, time in pairwise(series.times[-2 * _FEWEST_POINTS :])]
         self._step = 2.0 ** math.floor(math.log2(median(steps or [1.0])))
         self._radii = list(self._checked_radii())
@@ -177,12 +146,11 @@ class Course:
         """Forecast the attribute for a time [s]."""
         element = self._element
         passed = time - self._series.times[-1]
-        line = self._line(len(self._rates) - 1)
+        slope = self._slope(len(self._rates) - 1)
         radius = self._radius(passed)
-        if line is None or (radius is None and not self._is_by_rates):
-            return _unknown(element.name, "too little was measured to go so far ahead", time, now)
-        last, slope = line
-        expected = last + slope * passed
+        if slope is None:
+            return _unknown(element.name, "too little was measured", time, now)
+        expected = self._series.values[-1] + slope * passed
         value = clamped(element, expected)
         low = high = None
         span = "how exactly is not known"
@@ -200,7 +168,7 @@ class Course:
         thresholds = [constraint.constraint.value for constraint in self._node.constraints]
         shown = element.amount(shortest(value, thresholds))
         reason = f"{element.name} is {shown} ({span}) in {time - now:.3g} s: it {change}"
-        return Forecast(element.name, time, value, low, high, LEVEL, reason, change)
+        return Forecast(element.name, time, value, low, high, reason, change)
 
     def _learn(self) -> None:
         """Learn rates from the latest pieces in which only one of them is unknown."""
@@ -217,42 +185,26 @@ class Course:
             slope = slope_of(self._series.part(part[-1], part[0]))
             if len(learners) == 1 and is_inside and slope is not None:
                 (name,) = learners
-                self._slopes[name] = slope - self._slope(names - learners)
+                self._slopes[name] = slope - self._stated(names - learners)
                 self._unlearned.remove(name)
 
-    def _is_guess(self, place: int) -> bool:
-        """Return whether a rate that was not learned yet applies."""
-        return self._is_by_rates and not self._unlearned.isdisjoint(self._rates[place])
-
-    def _slope(self, names: Iterable[str]) -> float:
+    def _stated(self, names: Iterable[str]) -> float:
         return math.fsum(self._slopes[name] for name in names)
 
-    def _line(self, place: int) -> tuple[float, float] | None:
-        """Return the value and the slope at a place of the line that goes on from there."""
-        times, values = self._series
-        if self._is_by_rates:
-            return values[place], self._slope(self._rates[place])
-        if self._element.forecasting == "constant":
-            return values[place], 0.0
-        latest = self._series.part(max(place + 1 - _MOST_POINTS, 0), place)
-        slope = slope_of(latest)
-        if slope is None:
-            return None
-        heights = [
-            value - slope * (time - times[place]) for time, value in zip(*latest, strict=True)
-        ]
-        return median(heights), slope
+    def _slope(self, place: int) -> float | None:
+        """Return the slope with which the attribute goes on from a place."""
+        if not self._is_trend:
+            return self._stated(self._rates[place])
+        return slope_of(self._series.part(max(place + 1 - _MOST_POINTS, 0), place))
 
     def _radius(self, passed: float) -> float | None:
         """Return how far a forecast may be off, from the next span that was checked."""
-        if not self._radii or self._is_guess(len(self._rates) - 1):
+        if not self._radii or not self._unlearned.isdisjoint(self._rates[-1]):
             return None
         ahead = max(passed, self._step)
         knot = math.ceil(math.log2(ahead / self._step) - _ROUNDING)
         last = min(knot, len(self._radii) - 1)
         share = ahead / (self._step * 2.0**last)
-        if share > _REACH and not self._is_by_rates:
-            return None
         is_root = share < 1.0 or self._is_steady
         return self._radii[last] * (math.sqrt(share) if is_root else share)
 
@@ -260,40 +212,29 @@ class Course:
         """Yield how far a forecast may be off, for each doubling of the step that was checked."""
         ahead = self._step
         radius = 0.0
-        while (checked := _quantile(self._errors(ahead))) is not None:
+        while (checked := _quantile(list(self._errors(ahead))[-_MOST_ERRORS:])) is not None:
             radius = max(radius, checked)
             yield radius
             ahead *= 2.0
 
-    def _errors(self, ahead: float) -> list[float]:
-        """Return how far earlier forecasts were off, in order of time."""
-        times = self._series.times
+    def _errors(self, ahead: float) -> Iterator[float]:
+        """Yield how far earlier forecasts were off, in order of time."""
+        times, values = self._series
         gap = max(self._step, ahead / _ERRORS_IN_HORIZON)
         turns = range(math.ceil(times[0] / gap), math.floor((times[-1] - ahead) / gap) + 1)
         places = dict.fromkeys(bisect_right(times, turn * gap) - 1 for turn in turns)
-        errors = [self._error(place, ahead) for place in list(places)[-2 * _MOST_ERRORS :]]
-        counted = [error for error in errors if error is not None][-_MOST_ERRORS:]
-        # no error in n spans, one after the other, leaves a chance of 1 in n + 1 for the next
-        is_evident = len(counted) * gap >= _FEWEST_ERRORS * ahead
-        return counted if self._is_by_rates or is_evident or any(counted) else []
-
-    def _error(self, place: int, ahead: float) -> float | None:
-        """Return how far a forecast from a place was off; None if it does not count."""
-        times, values = self._series
-        then = times[place] + ahead
-        came = bisect_left(times, then - _ROUNDING * ahead)
-        if came == len(times):
-            return None
-        line = self._line(place)
-        if line is None or self._restorations[place] < self._restorations[came]:
-            return None
-        if self._is_guess(place):
-            return None
-        if self._is_steady and len(set(self._rates[place:came])) > 1:
-            return None
-        value, slope = line
-        value += slope * (max(times[came], then) - times[place])
-        return abs(values[came] - clamped(self._element, value))
+        for place in list(places)[-2 * _MOST_ERRORS :]:
+            then = times[place] + ahead
+            came = bisect_left(times, then - _ROUNDING * ahead)
+            slope = self._slope(place)
+            if came == len(times) or slope is None:
+                continue
+            is_restored = self._restorations[place] < self._restorations[came]
+            is_guess = not self._unlearned.isdisjoint(self._rates[place])
+            is_other = self._is_steady and len(set(self._rates[place:came])) > 1
+            if not (is_restored or is_guess or is_other):
+                value = values[place] + slope * (max(times[came], then) - times[place])
+                yield abs(values[came] - clamped(self._element, value))
 
 
 def _quantile(errors: Sequence[float]) -> float | None:
@@ -341,14 +282,13 @@ class Forecaster:
         self, attribute: str, doing: frozenset[str], *, is_stated: bool = True
     ) -> Callable[[float, float], Forecast]:
         """Return a function that forecasts an attribute for a time, from now [s]."""
-        node = self._base.attributes[attribute].node
-        return self._course(node, doing, is_stated, self._base.log.last)
+        return self._course(attribute, doing, is_stated, self._base.log.last)
 
     def _find_course(
-        self, node: Node, doing: frozenset[str], is_stated: bool, _: int
+        self, attribute: str, doing: frozenset[str], is_stated: bool, _: int
     ) -> Callable[[float, float], Forecast]:
-        element = node.attribute
-        view = self._base.attributes[node.name]
+        view = self._base.attributes[attribute]
+        element = view.node.attribute
         why_not = ""
         if not element.forecasting and not element.rates:
             why_not = "its model says nothing of that (see Attribute.forecast)"
@@ -357,12 +297,21 @@ class Forecaster:
         elif view.is_stale:
             why_not = "what was measured is stale"
         if why_not:
-            return partial(_unknown, node.name, why_not)
+            return partial(_unknown, element.name, why_not)
         latest = dict(view.history[-_MOST_SAMPLES:])  # of one instant, the last
         series = Series(tuple(latest), tuple(latest.values()))
-        rates = rates_by_measurement(element, series.times, self._base.history.actions)
-        rates[-1] = _applying(element, doing)
-        return Course(node, series, rates, is_stated).at
+        actions = [{""} for _ in latest]
+        for request in self._base.history.actions:
+            first = bisect_left(series.times, request.start)
+            end = len(actions)
+            if request.end is not None:
+                end = bisect_left(series.times, request.end)
+            for names in actions[first:end]:
+                names.add(request.action)
+        actions[-1] = {"", *doing}
+        stated = {rate.while_ for rate in element.rates}
+        rates = [frozenset(names & stated) for names in actions]
+        return Course(view.node, series, rates, is_stated).at
 
 
 def clamped(element: Attribute, value: float) -> float:
@@ -376,10 +325,10 @@ def _horizon(horizon: float) -> float:
     raise InvalidValue(f"a horizon is a time in seconds from 0, not {horizon!r}")
 
 
-def _is_violated(constraint: Constraint, forecast: Forecast, side: int = _WORSE) -> bool:
-    """Return whether one end of a forecast violates a constraint."""
-    ends = {_WORSE: forecast.low, _EXPECTED: forecast.value, _BETTER: forecast.high}
-    value = ends[side if constraint.operator in (">=", ">") else -side]
+def _is_violated(constraint: Constraint, forecast: Forecast, side: int = -1) -> bool:
+    """Return whether a forecast violates a constraint, at the better or the worse end (1, -1)."""
+    place = 1 + (side if constraint.operator in (">=", ">") else -side)
+    value = (forecast.low, forecast.value, forecast.high)[place]
     if value is None:
         value = forecast.value
     return value is not None and not OPERATORS[constraint.operator](value, constraint.value)
@@ -407,9 +356,7 @@ def suppose_forecast(state: State, node: Node, forecast: Forecast) -> None:
 class FeasibleUntil(NamedTuple):
     """When an action is expected to become unfeasible [s], and why; None: not within the horizon.
 
-    `earliest` is for attributes at the worse ends of their intervals, `latest` for the better
-    ends; `is_bounded` says whether the interval of the attribute that makes the action unfeasible
-    is known.
+    `earliest` is for attributes at the worse ends of their intervals, `latest` for the better ends.
     """
 
     action: str
@@ -419,24 +366,17 @@ class FeasibleUntil(NamedTuple):
     reason: str
     now: float
     within: float
-    is_bounded: bool = False
 
     def __str__(self) -> str:
         if self.at == self.now:
             return f"unfeasible now: {self.reason}"
-        feasible = f"feasible for {self.within:g} s, as far as is known"
         if self.at is None and self.earliest is None:
-            return feasible
+            return f"feasible for {self.within:g} s, as far as is known"
         at, earliest, latest = (
-            "" if time is None else f"{time - self.now:.3g}"
+            f"more than {self.within:g}" if time is None else f"{time - self.now:.3g}"
             for time in (self.at, self.earliest, self.latest)
         )
-        if self.at is None:
-            return f"{feasible}, unfeasible in {earliest} s at the earliest: {self.reason}"
-        interval = f"{earliest or at} to {latest or f'more than {self.within:g}'}"
-        if not self.is_bounded and earliest == latest:
-            interval = "how exactly is not known"
-        return f"unfeasible in {at} s ({interval}): {self.reason}"
+        return f"unfeasible in {at} s ({earliest} to {latest}): {self.reason}"
 
 
 def feasible_until(
@@ -461,21 +401,11 @@ def feasible_until(
             if state.status[constraint] is Status.SATISFIED:
                 course = base.forecast.course(constraint.constraint.attribute, done)
                 courses[constraint] = cache(partial(course, now=now))
-        sides = (_EXPECTED, _WORSE, _BETTER)
-        ends = [_end(state, node, courses, now, ahead, side) for side in sides]
-    expected, earliest, latest = (end and end.time for end in ends)
-    for end in ends:
-        if end is not None:
-            times = (expected, earliest, latest)
-            return FeasibleUntil(node.name, *times, end.reason, now, ahead, end.is_bounded)
-    reason = "nothing is known that makes it unfeasible"
-    return FeasibleUntil(node.name, None, None, None, reason, now, ahead)
-
-
-class _End(NamedTuple):
-    time: float
-    reason: str
-    is_bounded: bool
+        ends = [_end(state, node, courses, now, ahead, side) for side in (0, -1, 1)]
+    at, earliest, latest = (time for time, _ in ends)
+    reasons = [reason for _, reason in ends if reason]
+    reason = reasons[0] if reasons else "nothing is known that makes it unfeasible"
+    return FeasibleUntil(node.name, at, earliest, latest, reason, now, ahead)
 
 
 def _end(
@@ -485,21 +415,19 @@ def _end(
     now: float,
     within: float,
     side: int,
-) -> _End | None:
+) -> tuple[float | None, str]:
     """Return when and why an action is unfeasible first, for one end of the intervals."""
 
-    def time(tick: int) -> float:
-        return now + within * tick / (_LOOKS * _TICKS)
-
-    def violated(tick: int) -> list[Node]:
+    def violated(time: float) -> list[Node]:
+        """Return the constraints that are violated at a time."""
         return [
             node
             for node, course in courses.items()
-            if _is_violated(node.constraint, course(time(tick)), side)
+            if _is_violated(node.constraint, course(time), side)
         ]
 
-    def is_unfeasible(tick: int) -> bool:
-        nodes = violated(tick)
+    def is_unfeasible(time: float) -> bool:
+        nodes = violated(time)
         if not nodes:
             return False
         supposed = state.copy()
@@ -508,16 +436,23 @@ def _end(
         supposed.infer()
         return supposed.status[action] is Status.UNFEASIBLE
 
-    for end in range(_TICKS, _LOOKS * _TICKS + 1, _TICKS):
-        if is_unfeasible(end):
-            tick = bisect_left(range(end), True, end - _TICKS, key=is_unfeasible)
-            before = violated(tick - 1)
-            node = min(violated(tick), key=before.__contains__)
-            forecast = courses[node](time(tick))
-            threshold = node.attribute.amount(exact(node.constraint.value))
-            reason = f"{forecast.attribute} {forecast.change} and reaches {threshold}"
-            return _End(time(tick), reason, forecast.low is not None)
-    return None
+    for look in range(_LOOKS):
+        start = now + within * look / _LOOKS
+        end = now + within * (look + 1) / _LOOKS
+        if not is_unfeasible(end):
+            continue
+        for _ in range(_HALVINGS):
+            middle = (start + end) / 2
+            if is_unfeasible(middle):
+                end = middle
+            else:
+                start = middle
+        node = min(violated(end), key=violated(start).__contains__)
+        forecast = courses[node](end)
+        threshold = node.attribute.amount(exact(node.constraint.value))
+        reason = f"{forecast.attribute} {forecast.change} and reaches {threshold}"
+        return end, reason if forecast.low is not None else f"{reason}, how exactly is not known"
+    return None, ""
 
 
 def _constraints(node: Node) -> Iterator[Node]:

@@ -196,17 +196,6 @@ def test_interval_holds_nine_in_ten_of_what_goes_in_legs():
     assert 0.85 <= sum(hits) / len(hits) <= 0.95
 
 
-@pytest.mark.parametrize("by", ["constant", "trend"])
-def test_unchanged_series_reaches_a_ninth_of_its_span(by):
-    """Nine spans without a change leave a chance of one in ten that the next one has it."""
-    life = Life(rover(forecast=by))
-    kb = life.measure(30, light=lambda _: 1.0)
-    assert kb.forecast("light", 8.0)[2:5] == (1.0, 1.0, 1.0)  # four times the check of 2 s
-    assert kb.forecast("light", 16.0)[2:5] == (None, None, None)
-    life.measure(60, light=lambda _: 1.0)
-    assert kb.forecast("light", 16.0)[2:5] == (1.0, 1.0, 1.0)
-
-
 def test_rate_is_learned_while_its_action_is_done():
     life = Life(rover((-0.01, "explore", True), (0.01, "charge", True)))
     kb = life.measure(5, energy=falling)
