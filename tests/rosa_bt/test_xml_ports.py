@@ -276,7 +276,7 @@ def test_leaves_of_ours_can_be_written():
     [
         ("<Add/>", "the port 'one' is missing; write one=..."),
         ('<Add one="x"/>', "the port 'one' takes a value of type float, not 'x'"),
-        ('<Add one="1" twoo="1"/>', "it has no port 'twoo'; ports: one, other, total"),
+        ('<Add one="1" twoo="1"/>', "it has no port 'twoo'; known: 'one', 'other', 'total'"),
         ('<Say what="1" loud="maybe"/>', "the port 'loud' takes a value of type bool, not 'maybe'"),
         ('<water plants="4"/>', "'action' is needed when the tree is made; write action=..."),
         ('<water action="{a}"/>', "'action' is needed when the tree is made"),
@@ -284,7 +284,7 @@ def test_leaves_of_ours_can_be_written():
         ('<water action="scan" plant="4"/>', "no port 'plant'; did you mean 'plants'?"),
         ('<water action="scan" plants="-1"/>', "cannot be made: OSError: no can"),
         ("<IsActionFeasible/>", "'action' is missing; write action=..."),
-        ('<HasStatus element="scan" status="tired"/>', "never 'tired'"),
+        ('<HasStatus element="scan" status="tired"/>', "is never tired"),
         ('<Measurement attribute="light" operator="=>" value="1"/>', "'=>' is not an operator"),
         (
             '<Measurement attribute="light" value="1"/>',
