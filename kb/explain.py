@@ -213,7 +213,7 @@ class _Explainer:
             return f"it is required and not active{state.reason('active', node)}", []
         if node.kind == "component" or not parts:
             kind = "configurations" if node.kind == "component" else "designs"
-            return f"none of its {kind} is selected{state.reason('unselected', node)}", []
+            return f"none of its {kind} is selected", []
         if node.kind == "function":
             return "", [list(parts)]
         return "", [[part] for part in parts if state.status[part] is not Status.SOLVED]

@@ -54,33 +54,6 @@ class Reason(NamedTuple):
 NO_REASON: Final = Reason()
 
 
-class Selection(NamedTuple):
-    """What a choice changes.
-
-    Attributes:
-        flips: the designs and configurations that are selected and were not, or the other way
-            round.
-        activate, deactivate, parameters: what the managed system has to do then, by name.
-        plain: those of them that are not commanded.
-    """
-
-    flips: tuple[Node, ...]
-    activate: tuple[str, ...]
-    deactivate: tuple[str, ...]
-    parameters: tuple[str, ...]
-    plain: tuple[str, ...]
-
-    def plan(
-        self, reason: str, time: float, cause: int | None = None, number: int = 0
-    ) -> ReconfigurationPlan | None:
-        """Return the plan that carries it out; None if there is nothing to do."""
-        steps = self.activate, self.deactivate, self.parameters
-        if not any(steps):
-            return None
-        plain = self.plain
-        return ReconfigurationPlan(*steps, reason, time, plain=plain, cause=cause, number=number)
-
-
 class State:
     """Facts, and the statuses inferred from them.
 
@@ -198,8 +171,19 @@ class State:
 
     # ---------------------------------------------------------------- choosing
 
-    def decide(self, chosen: Sequence[Node]) -> Selection:
-        """Decide what a choice changes; what is obsolete is given up. Nothing changes yet."""
+    def decide(
+        self,
+        chosen: Sequence[Node],
+        reason: str = "",
+        time: float = 0.0,
+        cause: int | None = None,
+        number: int = 0,
+    ) -> tuple[list[Node], ReconfigurationPlan]:
+        """Decide what a choice changes; what is obsolete is given up. Nothing changes yet.
+
+        Returns the designs and configurations that are selected and were not, or the other way
+        round, and the plan that carries it out.
+        """
         flips = []
         for node in chosen:
             is_of_use = self._is_of_use(node)
@@ -231,13 +215,24 @@ class State:
             node for node in (*switched, *released) if node.element.kind is ComponentKind.PLAIN
         ]
         nodes = switched, released, configured, plain
-        return Selection(tuple(flips), *(tuple(node.name for node in each) for each in nodes))
+        activate, deactivate, parameters, names = (
+            tuple(node.name for node in each) for each in nodes
+        )
+        plan = ReconfigurationPlan(
+            *(activate, deactivate, parameters, reason, time),
+            plain=names,
+            cause=cause,
+            number=number,
+        )
+        return flips, plan
 
-    def select(self, flips: Iterable[Node]) -> None:
-        """Select and unselect in a copy of a state."""
-        self.touch(flips)
-        self.selected = self.selected.symmetric_difference(flips)
-        self.infer()
+    def after(self, flips: Iterable[Node]) -> "State":
+        """Return a copy in which these are selected if they were not, or the other way round."""
+        state = self.copy()
+        state.touch(flips)
+        state.selected.symmetric_difference_update(flips)
+        state.infer()
+        return state
 
     # ---------------------------------------------------------------- events
 
@@ -274,9 +269,6 @@ class State:
             case "assert_selected", (ref, selected, reason):
                 node = network.referred(ref)
                 self.set_flag("selected", node, bool(selected), reason if selected else "")
-                owner = node.used_by[0]
-                is_without = self.selected.isdisjoint(owner.requires)
-                self.give_reason("unselected", owner, reason if is_without else "")
             case "request_action", (name, _):
                 self.set_flag("requested", network.actions[name], True)
             case "cancel_action", (name, *_):
@@ -290,7 +282,6 @@ class State:
                     nodes.append(node)
                 for node in nodes:
                     self.give_reason("selected", node, reason if node in self.selected else "")
-                    self.give_reason("unselected", node.used_by[0])
         self.infer()
 
     def set_measurement(self, node: Node, value: float, time: float, number: int) -> None:
