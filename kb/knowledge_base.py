@@ -568,11 +568,9 @@ class KnowledgeBase:
             cause = self._cause_of_choice(nodes)
         words = why_selected(state, nodes, self._now, reason, self._records.end_reasons.values())
         number = next(reversed(self._records.plans), 0) + 1
-        flips, steps = state.decide(nodes, words, self._now, cause, number)
-        plan = steps or None
+        flips, plan = state.decide(nodes, words, self._now, cause, number)
         effects = tuple((node.kind, node.name, node not in state.selected) for node in flips)
-        is_reason_new = any(state.reason("selected", node).text != reason for node in nodes)
-        if not dry_run and (plan or effects or is_reason_new):
+        if (plan or effects) and not dry_run:
             choice = [MappingProxyType(dict(each or {})) for each in (designs, configurations)]
             self._record("select", *choice, str(reason), cause=cause, effects=effects, plan=plan)
         return plan
@@ -796,7 +794,7 @@ class KnowledgeBase:
         is_cause = not (is_switched and self._records.open_plans)  # else a plan has switched it
         changes = []
         changed = [node for node, old in state.before.items() if state.status[node] is not old]
-        for node in sorted(changed, key=attrgetter("level", "index")):
+        for node in sorted(changed, key=attrgetter("index")):
             change = StatusChange(node.kind, node.name, state.before[node], state.status[node])
             changes.append(change)
             if is_cause:

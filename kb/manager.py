@@ -146,9 +146,10 @@ class ConfigurationManager:
     def _is_vetoed(self) -> bool:
         """Ask the veto about the pending plan, if it is new; take it back if it is forbidden."""
         kb = self._kb
-        plan = kb.pending_plan
-        is_asked = any(answer.plan is plan for answer in reversed(kb.history.answers))
-        if self._veto is None or plan is None or is_asked:
+        plan = kb.pending_plan if self._veto else None
+        if self._veto is None or plan is None:
+            return False
+        if any(answer.plan is plan for answer in reversed(kb.history.answers)):
             return False
         objection = self._objection(self._veto, plan)
         kb.record_answer(plan, is_vetoed=bool(objection), reason=objection)

@@ -63,8 +63,9 @@ def choice_by_priority(state: State) -> Choice | None:
     flips, plan = state.decide(designs)
     if flips:
         adaptable = in_order(state.after(flips).adaptable)
+    given_up = plan.deactivate if plan else ()
     components = [
-        node for node in adaptable if node.kind == "component" and node.name not in plan.deactivate
+        node for node in adaptable if node.kind == "component" and node.name not in given_up
     ]
     configurations = firsts_by_priority(state, components)
     if not (designs or configurations or state.obsolete()):

@@ -112,9 +112,6 @@ class ReconfigurationPlan:
     def __repr__(self) -> str:
         return f"<ReconfigurationPlan {self} ({self.result or 'open'})>"
 
-    def __bool__(self) -> bool:
-        return bool(self.activate or self.deactivate or self.parameters)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Process:

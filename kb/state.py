@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 from kb.debounce import NEVER, Debounced, debounce, policy_status, voted_status
 from kb.elements import Attribute, Changeable, ComponentKind, Constraint, Parameters
 from kb.events import Event
-from kb.network import LEVELS, Network, Node
+from kb.network import Network, Node
 from kb.records import ReconfigurationPlan
 from kb.status import (
     OPERATORS,
@@ -33,8 +33,6 @@ KEPT: Final = 10_000
 
 
 _UNSTORED: Final = ("network", "keep", "_outdated")
-_CONFIGURATION: Final = LEVELS["configuration"]
-_COMPONENT: Final = LEVELS["component"]
 
 
 class Reason(NamedTuple):
@@ -106,7 +104,7 @@ class State:
         self._due: dict[tuple[str, Node], float] = {}
         self._obsolete: set[Node] = set()
         self._inactive_required: set[Node] = set()
-        self._outdated: list[set[Node]] = [set() for _ in LEVELS]
+        self._outdated: dict[str, set[Node]] = {kind: set() for kind in network.kinds}
         self.touch(network.present())
         self.infer()
         self.before = {}
@@ -117,7 +115,7 @@ class State:
         for name, content in vars(self).items():
             is_copied = isinstance(content, dict | set) and name != "histories"
             vars(other)[name] = content.copy() if is_copied else content
-        other._outdated = [set() for _ in LEVELS]
+        other._outdated = {kind: set() for kind in self._outdated}
         return other
 
     def facts(self) -> dict[str, Any]:
@@ -178,11 +176,11 @@ class State:
         time: float = 0.0,
         cause: int | None = None,
         number: int = 0,
-    ) -> tuple[list[Node], ReconfigurationPlan]:
+    ) -> tuple[list[Node], ReconfigurationPlan | None]:
         """Decide what a choice changes; what is obsolete is given up. Nothing changes yet.
 
         Returns the designs and configurations that are selected and were not, or the other way
-        round, and the plan that carries it out.
+        round, and the plan that carries it out; None if there is nothing to do.
         """
         flips = []
         for node in chosen:
@@ -218,6 +216,8 @@ class State:
         activate, deactivate, parameters, names = (
             tuple(node.name for node in each) for each in nodes
         )
+        if not (activate or deactivate or parameters):
+            return flips, None
         plan = ReconfigurationPlan(
             *(activate, deactivate, parameters, reason, time),
             plain=names,
@@ -294,7 +294,7 @@ class State:
                 holds = OPERATORS[constraint.element.operator]
                 threshold = constraint.element.value
                 if holds(value, threshold) is not holds(before, threshold):
-                    self._outdated[0].add(constraint)
+                    self._outdated["constraint"].add(constraint)
         self.value[node] = value
         self.time[node] = time
         self.stale.discard(node)
@@ -419,34 +419,33 @@ class State:
         outdated = self._outdated
         for node in nodes:
             if node.kind == "attribute":
-                outdated[0].update(node.constraints)
+                outdated["constraint"].update(node.constraints)
                 continue
-            outdated[node.level].add(node)
+            outdated[node.kind].add(node)
             if node.kind in ("action", "function"):
                 self.touch(node.requires)
             if node.kind == "function":  # what is obsolete may differ
                 for design in node.requires:
                     for component in design.requires:
-                        outdated[_CONFIGURATION].update(component.requires)
+                        outdated["configuration"].update(component.requires)
             elif node.kind == "function design":
-                outdated[_COMPONENT].update(node.requires)
-                outdated[node.level + 1].update(node.used_by)
+                outdated["component"].update(node.requires)
+                outdated["function"].update(node.used_by)
             elif node.kind == "configuration":
-                outdated[_COMPONENT].update(node.used_by)
+                outdated["component"].update(node.used_by)
 
     def infer(self) -> None:
         """Infer what is outdated. A node stays outdated until all that follows is stored."""
-        lowest = self._outdated[0]  # constraints
-        for level in self._outdated:
+        for kind, level in self._outdated.items():
             while level:
                 node = next(iter(level))
                 new = self._infer(node)
                 old = self.status.get(node)
                 if new is not old:
-                    unset = Status.NOT_EVALUATED if level is lowest else Status.FEASIBLE
+                    unset = Status.NOT_EVALUATED if kind == "constraint" else Status.FEASIBLE
                     self.before.setdefault(node, old or unset)
                     for user in node.used_by:
-                        self._outdated[user.level].add(user)
+                        self._outdated[user.kind].add(user)
                     self.status[node] = new
                 if node.kind in ("function", "component"):
                     _put(self.adaptable, node, _is_adaptable(node, new))
@@ -509,7 +508,7 @@ class State:
         nodes = {node.element: node for node in network.present()}
         state = self.copy()
         state.network = network
-        for name, content in vars(self).items():
+        for name, content in self.facts().items():
             if isinstance(content, set):
                 vars(state)[name] = {node for key in content if (node := _moved(key, nodes))}
             elif isinstance(content, dict):
