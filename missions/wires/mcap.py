@@ -7,14 +7,12 @@ import json
 import logging
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
-from functools import partial
 from operator import itemgetter
 from os.path import exists, isdir
 from pathlib import Path
-from queue import SimpleQueue
-from threading import Thread
 from typing import Any, BinaryIO, Final, NamedTuple
 
 from py_trees.common import Status
@@ -117,9 +115,7 @@ class McapFile:
         self._records = _Records(self._file, use_chunking=False)
         self.refused = Refusals()
         self._error: Exception | None = None
-        self._queue: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
-        self._thread = Thread(target=self._write_all, name="mcap", daemon=True)
-        self._thread.start()
+        self._thread = ThreadPoolExecutor(1, "mcap")
 
     def write(
         self,
@@ -130,7 +126,7 @@ class McapFile:
         *arguments: Any,  # noqa: ANN401  # the arguments of make
     ) -> None:
         """Queue a message at a time [s]: the thread writes what `make(*arguments)` returns."""
-        self._queue.put(partial(self._write, topic, kind, time_s, partial(make, *arguments)))
+        self._thread.submit(self._write, topic, kind, time_s, make, *arguments)
 
     def close(self) -> None:
         """Write the queued messages, and rewrite the file in chunks with an index.
@@ -138,38 +134,42 @@ class McapFile:
         Raises:
             MissionError: a message could not be written; the file holds those before it.
         """
-        self._queue.put(None)
-        self._thread.join(PATIENCE_S)
         try:
-            if self._thread.is_alive():
-                raise OSError("the disk does not answer")
-            with self._file:
-                if self._error is not None:
-                    raise self._error
-                self._records.finish()
+            self._thread.submit(self._finish).result(PATIENCE_S)
             with draft(self.path) as part:
                 write_in_chunks(part, _mcap_messages(self.path, Counter()))
                 part.replace(self.path)
+        except TimeoutError:
+            raise self._unwritten(OSError("the disk does not answer")) from None
         except Exception as error:  # of the disk or of the library
             raise self._unwritten(error) from error
+        finally:
+            self._thread.shutdown(wait=False)
 
-    def _write_all(self) -> None:
-        for write in iter(self._queue.get, None):
-            if self._error is None:
-                write()
+    def _finish(self) -> None:
+        with self._file:
+            if self._error is not None:
+                raise self._error
+            self._records.finish()
 
     def _write(
-        self, topic: str, kind: str, time_s: float, make: Callable[[], dict[str, Any]]
+        self,
+        topic: str,
+        kind: str,
+        time_s: float,
+        make: Callable[..., dict[str, Any]],
+        *arguments: Any,  # noqa: ANN401  # the arguments of make
     ) -> None:
+        if self._error is not None:
+            return
         try:
-            data = ros.types().encode(kind, make())
+            data = ros.types().encode(kind, make(*arguments))
         except Exception as error:  # what was malformed is left out, all others are written
             self.refused.add(f"{topic}: {type(error).__name__}: {error}")
             return
         try:
             self._records.add(Raw(topic, kind, "", ros.nanoseconds(time_s), data))
-            if self._queue.empty():
-                self._file.flush()
+            self._file.flush()
         except Exception as error:  # the mission goes on
             self._error = error
             _log.warning("%s is recorded no further: %s", self.path, error)
@@ -389,7 +389,7 @@ def read_page(path: str | Path) -> Recorded:
         advice = f"rosa replay {path} --mission NAME --report FILE.html shows it"
         raise MissionError(f"{path} is not rosa's own; {advice}")
     now = [0.0]
-    kb = KnowledgeBase(recorded_model(bag), clock=lambda: now[0])
+    kb = KnowledgeBase(Model.from_plain(bag.run["elements"]), clock=lambda: now[0])
     recorder = Recorder(kb, header=bag.run["page"])
     rows = deque(bag.rows)
     for event in [*bag.events, None]:
@@ -403,11 +403,6 @@ def read_page(path: str | Path) -> Recorded:
     recorder.close()
     note = f"{bag.cut}; all before that is shown" if bag.cut else ""
     return replace(recorder.recorded, note=note)
-
-
-def recorded_model(bag: Bag) -> Model:
-    """Return the model of one of our recordings; kb.ModelError if it cannot be read any more."""
-    return Model.from_plain(bag.run["elements"])
 
 
 def messages(path: str | Path, bag: Bag) -> Iterator[Raw]:

@@ -264,17 +264,14 @@ class RclpyNode(Node):
             self._report(is_published, f"rclpy: {presence}")
 
     def _send_call(self, call: Call) -> None:
-        """Send a call once its service is there; fail it when the service is gone."""
+        """Send a call, once, when its service is there."""
         with self._lock:
             client, request = call.details
-            is_ready = client.service_is_ready()
-            if is_ready:
-                call.details = client, None
-        if is_ready and request is not None:
-            call.overdue = f"{call.service} has not answered in time"
-            client.call_async(request).add_done_callback(partial(self._on_answer, call))
-        elif not is_ready and request is None:
-            self._end_call(call, RosError(f"the server of {call.service} is gone"))
+            if request is None or not client.service_is_ready():
+                return
+            call.details = client, None
+        call.overdue = f"{call.service} has not answered in time"
+        client.call_async(request).add_done_callback(partial(self._on_answer, call))
 
     def _on_answer(self, call: Call, future: Any) -> None:  # noqa: ANN401  # an object of rclpy
         if future.exception() is not None:

@@ -218,14 +218,18 @@ def diagnostics(time_s: float, array: Any) -> Message:  # noqa: ANN401  # in any
         array = to_message(array)
     statuses = []
     for status in array["status"]:
-        pairs = status["values"]
-        if not isinstance(pairs, Mapping):
-            pairs = {pair["key"]: pair["value"] for pair in pairs}
-        values = [{"key": str(key), "value": str(value)} for key, value in pairs.items()]
-        texts = {key: str(status.get(key, "")) for key in ("name", "hardware_id")}
-        message = str(status["message"])
-        level = status.get("level", 0)
-        statuses.append({"level": level, **texts, "message": message, "values": values})
+        values = status["values"]
+        if not isinstance(values, Mapping):
+            values = {pair["key"]: pair["value"] for pair in values}
+        statuses.append(
+            {
+                "level": status.get("level", 0),
+                "name": str(status.get("name", "")),
+                "message": str(status["message"]),
+                "hardware_id": str(status.get("hardware_id", "")),
+                "values": [{"key": str(key), "value": str(values[key])} for key in values],
+            }
+        )
     return {"header": _header(time_s, ""), "status": statuses}
 
 
