@@ -340,11 +340,11 @@ class _Writer:
             for axiom in each:
                 head = Signature(domain.signatures[name].name, axiom.variables, False)
                 axioms.append(f"(:derived {head} {text_of(axiom.condition)})")
-        requirements = ":typing :adl :derived-predicates :preferences"
-        if self._style == "costs":
-            requirements = ":typing :adl :derived-predicates :action-costs"
-        elif self._is_timed:
+        requirements = ":typing :adl :action-costs"
+        if self._is_timed:
             requirements += " :durative-actions :duration-inequalities :timed-initial-literals"
+        if axioms:  # unified-planning refuses a file that says so
+            requirements += " :derived-predicates"
         parts = [
             "(define (domain rosa)",
             f"(:requirements {requirements})",
@@ -395,7 +395,8 @@ class _Writer:
         if metric is not None and self._style != "costs":
             terms.append(text_of(metric))
         elif metric is None and self._style == "overlapping":
-            terms.append(f"({TIME})")
+            # unified-planning reads no sum with the time
+            terms = [*terms, f"({TIME})"] if self._problem.weights else [f"({TIME})"]
         for number, goal in enumerate(self._problem.soft):
             worth = number_text(exact(goal.worth or 0))
             terms.append(f"(* {worth} (is-violated rosa-soft-{number}))")

@@ -166,11 +166,6 @@ MALFORMED = {
         "domain.pddl:8:31",
         ":duration appears more than once",
     ),
-    "negative duration": (
-        in_rooms("(= ?duration 5)", "(= ?duration (- 2 5))"),
-        "domain.pddl:8:16",
-        "found '(= ?duration (- 2 5))', expected a duration of 0 s or more",
-    ),
     "endless number": (
         in_rooms("(= ?duration 5)", "(= ?duration 1e999999999)"),
         "domain.pddl:8:28",
