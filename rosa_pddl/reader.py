@@ -32,6 +32,7 @@ from rosa_pddl.domain import (
     UnknownNameError,
     UnsupportedPddlError,
     Variables,
+    atom_text,
     conjuncts,
     exact,
     names_in,
@@ -178,17 +179,11 @@ class Goal:
 def conditions(domain: Domain, text: str, worth: float | None = None) -> tuple[Goal, ...]:
     """Read a condition; a conjunction is split into its parts."""
     where = f"condition {text.strip()!r}"
-
-    def unknown(tree: Tree, message: str) -> Exception:
-        return UnknownNameError(f"{where}: found {_text(tree)!r}, {message}")
-
-    names = domain.kinds, domain.signatures, domain.types
-    formulas = Formulas(*names, unknown)
     tree = parse(text, where)
     if not tree:
         raise PddlError("found (), expected a list such as '(predicate object)'", where)
     with _guarded(where):
-        condition = formulas.condition(tree, {})
+        condition = _formulas_of(domain, where).condition(tree, {})
     goals = list[Goal]()
     for part in conjuncts([condition]):
         read = domain.computed | domain.compared
@@ -199,6 +194,28 @@ def conditions(domain: Domain, text: str, worth: float | None = None) -> tuple[G
             raise UnsupportedPddlError(f"{message}; compared are {compared}", where)
         goals.append(Goal(text_of(part), part, worth))
     return tuple(goals)
+
+
+def atom_of(domain: Domain, text: str) -> str:
+    """Return an atom or a number as the files spell it, e.g. `(lit room)` for `lit ROOM`.
+
+    Raises:
+        UnknownNameError: a name is unknown, or the predicate is derived.
+    """
+    atoms: dict[str, str] = domain.cache.setdefault("atoms", {})
+    if text not in atoms:
+        tree = parse(f"({text.strip().removeprefix('(').removesuffix(')')})", repr(text))
+        if _head(tree) in domain.axioms:
+            raise UnknownNameError(f"{text!r} is derived: it is neither stated nor sensed")
+        atoms[text] = atom_text(*_formulas_of(domain, domain.file).application(tree, {}))
+    return atoms[text]
+
+
+def _formulas_of(domain: Domain, where: str) -> "Formulas":
+    def unknown(tree: Tree, message: str) -> Exception:
+        return UnknownNameError(f"{where}: found {_text(tree)!r}, {message}")
+
+    return Formulas(domain.kinds, domain.signatures, domain.types, unknown)
 
 
 @contextmanager
@@ -274,7 +291,7 @@ class Formulas:
 
     def atom(self, tree: Tree, scope: Scope) -> Formula:
         """Read an atom."""
-        return "atom", *self._application(tree, scope, is_number=False)
+        return "atom", *self.application(tree, scope, is_number=False)
 
     def number(self, tree: Tree, scope: Scope) -> Number:
         """Read a constant, a number of the domain, or an operator with its parts."""
@@ -287,7 +304,7 @@ class Formulas:
         if head == TIME:
             return "n", TIME, ()
         if head not in ("+", "-", "*", "/"):
-            return "n", *self._application(tree, scope, is_number=True)
+            return "n", *self.application(tree, scope, is_number=True)
         parts = [self.number(part, scope) for part in tree[1:]]
         return head, *([0] if head == "-" and len(parts) == 1 else []), *parts
 
@@ -297,14 +314,14 @@ class Formulas:
             raise _error(word, "expected a number")
         return exact(Fraction(word.lower()))
 
-    def _application(
-        self, tree: Tree, scope: Scope, *, is_number: bool
+    def application(
+        self, tree: Tree, scope: Scope, *, is_number: bool | None = None
     ) -> tuple[str, tuple[str, ...]]:
         """Return the name and the terms of an atom, or of a number."""
         if not _head(tree):
             raise _error(tree, "expected a list such as '(predicate object)'")
         signature = self._known(tree[0], "predicate", self.signatures)
-        if signature.is_number is not is_number:
+        if is_number not in (None, signature.is_number):
             expected = "a predicate, expected a number"
             if signature.is_number:
                 expected = "a number, expected a predicate; compare it, as in (> (x) 0)"
@@ -314,8 +331,8 @@ class Formulas:
             raise self.unknown(tree, f"expected {len(signature.types)} arguments: {signature}")
         for term, expected in zip(terms, signature.types, strict=True):
             lineage = self.types.get(term) or self.kinds[scope[term].lower()][1]
-            lower = self.kinds[expected.lower()][1]
-            if expected.lower() not in lineage and lineage[0] not in lower:
+            # in files, Kairos has looked at the types
+            if self.unknown is not _error and expected.lower() not in lineage:
                 raise self.unknown(tree, f"whose arguments are of other types than {signature}")
         return signature.name, terms
 
@@ -434,7 +451,7 @@ class _Reader:
     )
     signatures: dict[str, Signature] = field(default_factory=dict)
     types: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    places: dict[tuple[str, str], tuple[str, int]] = field(default_factory=dict)
+    places: dict[str, tuple[str, int]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
     def domain(self) -> Domain:
@@ -532,9 +549,9 @@ class _Reader:
             same = next((each for each in self.types if each.lower() == name.lower()), None)
             if same is None:
                 self.types[str(name)] = lineage
-                self.places["object", str(name)] = (name.file, name.line or 0)
+                self.places[str(name)] = (name.file, name.line or 0)
                 continue
-            file, line = self.places["object", same]
+            file, line = self.places[same]
             if self.types[same] != lineage:
                 raise _error(name, f"which was declared before, in line {line} of {file}")
             if file == name.file:
@@ -552,7 +569,7 @@ class _Reader:
             same = [other for other in self.types if other.lower() == action.lower()]
             if not same:
                 self.types[action] = self.kinds[ACTION_TYPE][1]
-                self.places["object", action] = (file, 0)
+                self.places[action] = (file, 0)
             elif ACTION_TYPE not in self.types[same[0]]:
                 message = f"the object {action!r} of {file} is not of type {ACTION_TYPE!r}"
                 raise UnknownNameError(message)
