@@ -42,8 +42,8 @@ Source = tuple[str, dict[str, str]]
 """The tag and the attributes of an element."""
 _DURATIONS = {Timer: "msec", Timeout: "msec", Delay: "delay_msec"}
 _ARGUMENTS = (
-    *("action", "preference", "wait", "timeout", "even_if_unfeasible", "exclusive"),
-    *("halting_timeout", "during", "memory", "after", "num_failures", "pause"),
+    *("action", "preference", "wait", "timeout", "exclusive"),
+    *("halting_timeout", "memory", "after", "num_failures", "pause"),
 )
 """Parameters of our behaviours that are attributes, of the element as of the behaviour."""
 _DEFAULTS = (None, False, inf, RosaAction.halting_timeout)
