@@ -5,8 +5,8 @@ them is a `Debounced`; each function here is pure and returns a new one.
 """
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple, Self
+from collections.abc import Iterable
+from typing import NamedTuple
 
 from kb.elements import Constraint, StalePolicy
 from kb.network import Node
@@ -32,13 +32,6 @@ class Debounced(NamedTuple):
     is_silent: bool = False
     candidate: Status | None = None
     candidate_since: float = -math.inf
-
-    @classmethod
-    def from_json(cls, written: Sequence[Any]) -> Self:
-        """Return what was written as a list."""
-        status, since, is_silent, candidate, candidate_since = written
-        decided = candidate and Status(candidate)
-        return cls(Status(status), since, is_silent, decided, candidate_since)
 
 
 def policy_status(policy: StalePolicy) -> Status:
@@ -75,7 +68,7 @@ def debounce(
         return debounce(node, Debounced(before.candidate, decided_at), votes, now)
     vote = voted_status(constraint, votes, enough, VIOLATED)
     if vote is not before.candidate:
-        before = before._replace(candidate=vote, candidate_since=now)
+        before = Debounced(before.status, before.since, True, vote, now)
     if vote is None:
         return before, NEVER
     decided_at = before.candidate_since + constraint.dwell

@@ -284,6 +284,8 @@ class EstimationKind(StrEnum):
 _FLAG: Final = Field(lambda field, name, value: flag(f"{field} of {name!r}", value))
 _TEXT: Final = Field(lambda field, name, value: text(f"the {field} of {name!r}", value), False)
 _NUMBER: Final = Field(lambda _, __, value: finite_number(value))
+_TIME: Final = Field(lambda _, __, value: None if value is None else finite_number(value))
+_PID: Final = Field(lambda _, __, value: whole("a process number", value, 0))
 _PRIORITY: Final = Field(_priority)
 _SPAN: Final = _number("the {field} of {name!r} is a number from 0", 0, _MOST)
 _AGE: Final = _number("{field} of {name!r} is a time in seconds above 0", _LEAST, math.inf)
@@ -399,6 +401,9 @@ class Estimation:
     value: Annotated[float, _NUMBER]
     kind: Annotated[EstimationKind, _one_of("estimation kind", EstimationKind)]
     causer: "Estimable"
+
+    def __str__(self) -> str:
+        return self.attribute
 
     @property
     def adds(self) -> float:
@@ -588,7 +593,7 @@ class FunctionDesign(_Estimable):
     """One way to realise a function: the components that together do it."""
 
     function: str
-    components: tuple[str, ...]
+    components: tuple[str, ...] = ()
     priority: Annotated[float | None, _PRIORITY] = None
 
 
@@ -660,17 +665,6 @@ REFERENCES: Final[Mapping[str, type[Element]]] = {
 those of a plan."""
 
 
-CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {
-    cls: {
-        name: hint.__metadata__[0]
-        for name, hint in get_type_hints(cls, include_extras=True).items()
-        if hasattr(hint, "__metadata__")
-    }
-    for cls in KINDS
-}
-"""How the fields of each class of elements are checked, except fields that name other elements."""
-
-
 class ByName(dict[Any, T]):
     """The elements of one kind by name, in order of declaration.
 
@@ -694,8 +688,8 @@ class ByName(dict[Any, T]):
 
 
 def called(element: Changeable) -> str:
-    """Return the name of an element; a constraint or estimation is called by its attribute."""
-    return element.name if isinstance(element, Element) else element.attribute
+    """Return what an element, constraint or estimation is called in messages."""
+    return element.name if isinstance(element, Element) else str(element)
 
 
 def meant_by(name: object, tables: Mapping[str, Mapping[str, T]], what: str, advice: str = "") -> T:
@@ -733,8 +727,8 @@ class MeasurementFact:
 
     attribute: str
     value: float
-    time: float | None = None
-    latest: bool = True
+    time: Annotated[float | None, _TIME] = None
+    latest: Annotated[bool, _FLAG] = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -776,8 +770,8 @@ class RequiredActionFact:
 
     action: str
     preference: Mapping[str, float] | None = None
-    start: float | None = None
-    end: float | None = None
+    start: Annotated[float | None, _TIME] = None
+    end: Annotated[float | None, _TIME] = None
     result: str | None = None
 
 
@@ -786,9 +780,9 @@ class ProcessFact:
     """A component ran, or runs, as a process; times as in `RequiredActionFact`."""
 
     component: str
-    pid: int
-    start: float | None = None
-    end: float | None = None
+    pid: Annotated[int, _PID]
+    start: Annotated[float | None, _TIME] = None
+    end: Annotated[float | None, _TIME] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -798,8 +792,8 @@ class PlanFact:
     activate: tuple[str, ...] = ()
     deactivate: tuple[str, ...] = ()
     parameters: tuple[str, ...] = ()
-    start: float | None = None
-    end: float | None = None
+    start: Annotated[float | None, _TIME] = None
+    end: Annotated[float | None, _TIME] = None
     result: str | None = None
 
 
@@ -816,6 +810,16 @@ ROSA: Final[Mapping[type, str]] = {
     PlanFact: "reconfiguration plan",
 }
 """What each class of element and fact is called, each after those that it refers to."""
+
+CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {
+    cls: {
+        name: hint.__metadata__[0]
+        for name, hint in get_type_hints(cls, include_extras=True).items()
+        if hasattr(hint, "__metadata__")
+    }
+    for cls in ROSA
+}
+"""How the fields of each class are checked, except fields that name elements."""
 
 Fact = (
     MeasurementFact

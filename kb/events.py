@@ -163,8 +163,8 @@ class Event(NamedTuple):
         return values
 
     @classmethod
-    def from_json(cls, written: Mapping[str, Any]) -> Self:
-        """Return the event that was written.
+    def from_json(cls, written: Mapping[str, Any], plan: ReconfigurationPlan | None = None) -> Self:
+        """Return the event that was written, with its plan.
 
         Raises:
             LookupError, TypeError, ValueError: that was no event.
@@ -185,7 +185,8 @@ class Event(NamedTuple):
             tuple(changes),
             written.get("cause"),
             tuple(effects),
-            words=str(written.get("words", "")),
+            plan,
+            str(written.get("words", "")),
         )
 
 

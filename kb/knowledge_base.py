@@ -24,8 +24,6 @@ from kb.debounce import NEVER
 from kb.diagnostics import DiagnosticProblem, DiagnosticRules, record_diagnostics
 from kb.elements import (
     Action,
-    Attribute,
-    Constraint,
     Parameters,
     finite_number,
     flag,
@@ -206,26 +204,23 @@ class KnowledgeBase:
         _LOCKS.add(self._lock)
         self._updating = Lock()  # held, with the other one, while this thread records an event
         self.store = None if store is None else Store(store, model, keep)
-        self._network = network = Network(model)
-        self._state = State(network, keep)
+        self._state = State(Network(model), keep)
         self._records = Records()
         self._event: Event | None = None  # recorded, and not applied completely
         self._amendment: elements.Amended | None = None  # the last change of the model
         self._followed: elements.Amended | None = None  # the last one that is recorded
         self._revision = 0
-        self._changed_by: dict[Node, int] = {}  # the last event that changed its status
-        self._feasibility: int | None = None  # the last event that changed an action's feasibility
         self.log = Log(self._lock, self._complete)
         self._now = self._read_clock()
         self._publisher = Publisher(self.log, self._lock)
         self._reading = Reading(self._lock, self._settled)
         self.forecast = Forecaster(self)
-        self.actions = views.Views(self, network.actions, views.ActionView)
-        self.functions = views.Views(self, network.functions, views.FunctionView)
-        self.components = views.Views(self, network.components, views.ComponentView)
-        self.designs = views.Views(self, network.designs, views.DesignView)
-        self.configurations = views.Views(self, network.configurations, views.ConfigurationView)
-        self.attributes = views.Views(self, network.attributes, views.AttributeView)
+        self.actions = views.Views(self, "actions", views.ActionView)
+        self.functions = views.Views(self, "functions", views.FunctionView)
+        self.components = views.Views(self, "components", views.ComponentView)
+        self.designs = views.Views(self, "designs", views.DesignView)
+        self.configurations = views.Views(self, "configurations", views.ConfigurationView)
+        self.attributes = views.Views(self, "attributes", views.AttributeView)
         if self.store is not None and not self.store.is_new:
             self._restore(self.store)
         elif model.facts:
@@ -242,6 +237,10 @@ class KnowledgeBase:
             self._catch_up_with_time()  # with the events that came due meanwhile
 
     # ---------------------------------------------------------------- asked
+
+    @property
+    def _network(self) -> Network:
+        return self._state.network
 
     def is_feasible(self, action: str) -> bool:
         """Tell whether an action can be done now: its status is not "unfeasible"."""
@@ -546,7 +545,7 @@ class KnowledgeBase:
             return
         is_unfeasible = self._state.status[node] is Status.UNFEASIBLE
         if cause is None and result != "completed" and is_unfeasible:
-            cause = self._changed_by.get(node)
+            cause = self._state.changed_by.get(node)
         self._record("cancel_action", (node.name, result, reason), cause)
 
     @_update
@@ -822,11 +821,11 @@ class KnowledgeBase:
         event = self._event
         if event is None:
             return
-        state = self._state
         if event.verb == "amend":
             self._renew()
         elif event.verb not in RECORDS:
-            state.apply(event)
+            self._state.apply(event)
+        state = self._state
         if state.before:
             event = self._with_changes(event)
         if _matters(event):
@@ -838,7 +837,9 @@ class KnowledgeBase:
         if event.verb == "finish_attempt" and event.arguments[1] == "completed":
             attempt = self._records.attempts[event.arguments[0]]
             if attempt.operation == "configure":
-                state.parameters[attempt.component] = attempt.parameters
+                component = state.network.components.get(attempt.component)
+                if component is not None:
+                    state.parameters[component] = attempt.parameters
         state.before = {}
         self._event = None
         for witness in self.log.witnesses if is_new else ():
@@ -855,10 +856,10 @@ class KnowledgeBase:
             change = StatusChange(node.kind, node.name, state.before[node], state.status[node])
             changes.append(change)
             if is_cause:
-                self._changed_by[node] = event.number
+                state.changed_by[node] = event.number
             if node.kind == "action" and Status.UNFEASIBLE in change[2:]:
-                self._feasibility = event.number
-        return event._replace(changes=tuple(changes))
+                state.feasibility_changed_by = event.number
+        return Event(*event[:4], tuple(changes), *event[5:])
 
     # ---------------------------------------------------------------- time
 
@@ -948,8 +949,8 @@ class KnowledgeBase:
 
     def _begin(self, stated: Sequence[elements.Fact], now: float) -> None:
         """Begin with what the model states."""
-        network = self._network
         state = self._state
+        network = state.network
         measured = [fact for fact in stated if isinstance(fact, elements.MeasurementFact)]
         measured.sort(key=lambda fact: (fact.latest, now if fact.time is None else fact.time))
         for number, measurement in enumerate(measured, start=-len(measured)):
@@ -1001,17 +1002,9 @@ class KnowledgeBase:
         """Follow the model as it is now; it can be repeated."""
         assert self._amendment is not None  # an amendment is noted before it is recorded
         self._followed = self._amendment
-        self._network.renew()
-        for node in set(self._changed_by).difference(self._network.present()):
-            del self._changed_by[node]
-        changed = []
-        if self._amendment.how != "removed":
-            changed = [
-                self._network.find(element)
-                for element in self._amendment.elements
-                if isinstance(element, Attribute | Constraint)
-            ]
-        self._state.renew(changed, self._now)
+        is_removed = self._amendment.how == "removed"
+        changed = () if is_removed else self._amendment.elements
+        self._state = self._state.moved(Network(self.model), changed, self._now)
 
     # ---------------------------------------------------------------- causes
 
@@ -1022,7 +1015,9 @@ class KnowledgeBase:
             return None if ended is None else ended[1]
         owners = {node.used_by[0] for node in chosen}
         numbers = [
-            self._changed_by.get(node, 0) for owner in owners for node in (owner, *owner.requires)
+            self._state.changed_by.get(node, 0)
+            for owner in owners
+            for node in (owner, *owner.requires)
         ]
         return max(numbers) or None
 
@@ -1031,29 +1026,24 @@ class KnowledgeBase:
         ended = self._records.last_end
         if ended is not None and ended[0] == self._now:
             return ended[1]
-        return self._feasibility
+        return self._state.feasibility_changed_by
 
     # ---------------------------------------------------------------- the store
 
     def _snapshot(self) -> dict[str, Any]:
-        """Return all that is known as values of which JSON is made."""
+        """Return all that is known."""
         return {
-            "state": self._state.to_json(),
-            "records": self._records.to_json(),
-            "causes": [(node.ref, number) for node, number in self._changed_by.items()],
-            "feasibility": self._feasibility,
+            "state": self._state.facts(),
+            "records": vars(self._records),
             "revision": self._revision,
         }
 
     def _restore(self, store: Store) -> None:
         """Begin with what a store holds: a snapshot, and the events after it."""
-        snapshot, events = store.restored()
+        snapshot, events = store.restored(self._network)
         if snapshot is not None:
-            self._state.from_json(snapshot["state"])
-            self._records.from_json(snapshot["records"])
-            for ref, number in snapshot["causes"]:
-                self._changed_by[self._network.referred(ref)] = number
-            self._feasibility = snapshot["feasibility"]
+            self._state.restore(snapshot["state"])
+            vars(self._records).update(snapshot["records"])
             self._revision = snapshot["revision"]
         for event in events:
             self.log.resume(event.number - 1)

@@ -12,7 +12,7 @@ A name is unique within its kind, not across kinds. Elements refer to one anothe
 can be changed while knowledge bases use it: the next question to them sees the change.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -56,12 +56,10 @@ from kb.elements import (
     called,
     choice,
     finite_number,
-    flag,
     identifier,
     listed,
     meant_by,
     status_of,
-    whole,
 )
 from kb.elements import table as html_table
 from kb.exceptions import DuplicateName, ModelError, UnknownName
@@ -243,29 +241,20 @@ class Model:
         their names.
         """
         kind = KINDS[cls]
-        table = self._tables[cls]
-        name = identifier(kind, name)
+        identifier(kind, name)
         checks = CHECKS[cls]
         for field, value in stated.items():
             if field in checks:
                 stated[field] = checks[field].check(field, name, value)
             else:
                 stated[field] = self._referred(cls, name, field, value)
-        try:
-            element = cls(name, self, **stated)
-        except TypeError as error:
-            raise ModelError(f"{kind} {name!r} is not complete: {error}") from None
-        expressions = self._expressions(constraints)
-        if expressions:
-            self._of_kind("constrained", element, get_args(Constrainable))
-        if name in table:
+        element = cls(name, self, **stated)
+        constrained = self._constraints((element,), constraints)  # type: ignore[arg-type]  # it can be, where there are any
+        if name in self._tables[cls]:
             raise DuplicateName(
                 f"{kind} {name!r} is declared already; names are unique within a kind"
             )
-        if expressions or self._observers:
-            self._declare(element, *[_constraint((element,), each) for each in expressions])  # type: ignore[arg-type]  # constrainable, if any
-        else:
-            table[name] = element  # a single step, and there is no observer
+        self._declare([element, *constrained])
         return element
 
     def constrain(self, elements: Iterable[Constrainable], expression: Expression) -> Constraint:
@@ -277,16 +266,15 @@ class Model:
         self, elements: Iterable[Constrainable], constraints: Iterable[Expression]
     ) -> tuple[Constraint, ...]:
         """Add constraints that apply to all of the elements, or none if one of them is refused."""
-        kinds = get_args(Constrainable)
         targets = dict.fromkeys(
-            self._own("constrained", element, *kinds)
+            self._own("constrained", element, *get_args(Constrainable))
             for element in listed("constrained elements", elements)
         )
-        added = [_constraint(tuple(targets), each) for each in self._expressions(constraints)]
+        added = self._constraints(tuple(targets), constraints)
         if added and not targets:
             raise ModelError(f"{added[0]} constrains nothing; name at least one element")
         if added:
-            self._declare(*added)
+            self._declare(added)
         return tuple(added)
 
     def add_estimation(
@@ -301,7 +289,7 @@ class Model:
         affected = self._own("attribute", attribute, Attribute).name
         sense = choice("estimation kind", EstimationKind, kind)
         estimation = Estimation(affected, finite_number(value), sense, causer)
-        self._declare(estimation)
+        self._declare([estimation])
         return estimation
 
     def add_fact(self, fact: Fact) -> None:
@@ -317,15 +305,19 @@ class Model:
         """Declare an element, constraint, estimation or fact of a class by its fields."""
         others = dict(values)
         stated: Any
-        if cls is Constraint:
-            stated = self.constrain(others.pop("constrained"), Expression(**others))
-        elif cls is Estimation:
-            stated = self.add_estimation(**others)
-        elif issubclass(cls, Element):
-            stated = self.declare(cls, others.pop("name", ""), constraints, **others)
-        else:
-            stated = cls(**others)
-            self.add_fact(stated)
+        try:
+            if cls is Constraint:
+                constrained = others.pop("constrained", ())
+                stated = self.constrain(constrained, Expression(**others))
+            elif cls is Estimation:
+                stated = self.add_estimation(**others)
+            elif issubclass(cls, Element):
+                stated = self.declare(cls, others.pop("name", ""), constraints, **others)
+            else:
+                stated = self._checked(cls(**others))
+                self._facts.append(stated)
+        except TypeError as error:
+            raise ModelError(f"this {elements.ROSA[cls]} is not complete: {error}") from None
         return stated  # type: ignore[no-any-return]  # of the class
 
     def watch(self, observer: Observer) -> None:
@@ -349,13 +341,10 @@ class Model:
                 was expected.
         """
         files = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
-        if not files:
-            raise ModelError(
-                "no file is given to load a model from; give one path or several, in order"
-            )
         suffixes = {_suffix(file) for file in files}
-        if len(suffixes) > 1:
-            raise ModelFileError("files of one model are all in one format", str(files[0]))
+        if len(suffixes) != 1:
+            what = "a model is loaded from one file, or from several of one format, in order"
+            raise ModelError(f"{what}; not from {', '.join(map(str, files)) or 'none'}")
         if suffixes == {".owl"}:
             from kb.ontology import load_owl
 
@@ -450,22 +439,26 @@ class Model:
         unwanted: Changeable = self._own(
             "what is removed", element, *_NAMED, Constraint, Estimation
         )
-        users = _users_of(self, unwanted) if isinstance(unwanted, Element) else []
+        rests: dict[Constraint, tuple[Constrainable, ...]] = {}
+        removed: list[Changeable] = [unwanted]
+        users: list[str] = []
+        for table in self._tables.values():
+            for user in table.values():
+                if isinstance(user, Constraint) and unwanted in user.constrained:
+                    rests[user] = tuple(each for each in user.constrained if each is not unwanted)
+                    if not rests[user]:
+                        removed.append(user)
+                elif isinstance(user, Estimation) and user.causer is unwanted:
+                    removed.append(user)
+                elif _refers(user, unwanted):
+                    users.append(f"{KINDS[type(user)]} {called(user)!r}")
         if users:
             raise ModelError(
                 f"{called(unwanted)!r} is needed by {', '.join(users)}; remove that first"
             )
-        rests = {
-            constraint: tuple(other for other in constraint.constrained if other is not unwanted)
-            for constraint in self.constraints
-            if unwanted in constraint.constrained
-        }
-        removed: list[Changeable] = [
-            unwanted,
-            *(element for element, rest in rests.items() if not rest),
+        facts = [
+            fact for fact in self._facts if not any(_refers(fact, element) for element in removed)
         ]
-        removed += [estimation for estimation in self.estimations if estimation.causer is unwanted]
-        facts = [fact for fact in self._facts if not _concerns(fact, removed)]
 
         def put() -> None:
             for constraint, rest in rests.items():
@@ -552,28 +545,24 @@ class Model:
         for field in fields(fact):
             name = field.name
             value = getattr(fact, name)
-            if name == "element":
+            if name in CHECKS[type(fact)]:
+                value = CHECKS[type(fact)][name].check(name, kind, value)
+            elif name in REFERENCES:
+                value = self._referred(type(fact), kind, name, value)
+            elif name == "element":
                 value = self._own(f"what this {kind} is about", value, *_ABOUT[type(fact)])
             elif name == "status":
                 value = status_of(KINDS[type(values["element"])], value)
-            elif name in REFERENCES:
-                value = self._referred(type(fact), kind, name, value)
-            elif name == "latest":
-                value = flag(f"latest of a {kind}", value)
-            elif name == "pid":
-                value = whole("a process number", value, 0)
             elif name == "value":
                 value = self.attributes[values["attribute"]].checked(value)
             elif name == "result" and value is not None:
                 check_result(value)
-            elif name == "preference" and value is not None:
+            elif value is not None:
                 if not isinstance(value, Mapping):
                     what = "a preference is given as weights by name of attribute"
                     raise ModelError(f"{what}, not as {value!r}")
                 weights = {self.attributes[key].name: finite_number(value[key]) for key in value}
                 value = MappingProxyType(weights) if weights else None
-            elif value is not None:
-                value = finite_number(value)
             values[name] = value
         return replace(fact, **values)
 
@@ -582,24 +571,23 @@ class Model:
         if not isinstance(element, (Element, Constraint, Estimation)):
             tables = {KINDS[cls]: self._tables[cls] for cls in classes if issubclass(cls, Element)}
             return meant_by(element, tables, what, "give the one meant, e.g. model.")
-        self._of_kind(what, element, classes)
+        if not isinstance(element, classes):
+            names = ", ".join(cls.__name__ for cls in classes)
+            raise ModelError(f"{what} can be one of {names}; not {element!r}")
         if isinstance(element, Element) and element.model is not self:
             other = element.model.name
             raise ModelError(f"{element.name!r} belongs to model {other!r}, not to {self.name!r}")
         if self._tables[type(element)].get(_key(element)) is not element:
-            name = str(element) if isinstance(element, Constraint) else repr(called(element))
-            of = "the estimation of " if isinstance(element, Estimation) else ""
-            raise ModelError(f"{of}{name} is not in model {self.name!r}, or no longer")
+            what = f"{KINDS[type(element)]} {called(element)!r}"
+            raise ModelError(f"{what} is not in model {self.name!r}, or no longer")
         return element
 
-    def _of_kind(self, what: str, element: object, classes: Sequence[type]) -> None:
-        if not isinstance(element, tuple(classes)):
-            names = ", ".join(cls.__name__ for cls in classes)
-            raise ModelError(f"{what} can be one of {names}; not {element!r}")
-
-    def _expressions(self, values: object) -> tuple[Expression, ...]:
-        expressions = listed("constraints", values)
-        for expression in expressions:
+    def _constraints(
+        self, targets: tuple[Constrainable, ...], expressions: object
+    ) -> list[Constraint]:
+        """Return the constraints of elements that comparisons become."""
+        constraints = []
+        for expression in listed("constraints", expressions):
             if not isinstance(expression, Expression):
                 what = "a constraint is a comparison such as `light >= 0.5`"
                 raise ModelError(f"{what}, not {expression!r}")
@@ -608,23 +596,24 @@ class Model:
                 raise ModelError(
                     f"{expression} compares an attribute of {other!r}, not of {self.name!r}"
                 )
-            self._own("attribute", expression.attribute, Attribute)
-        return expressions
+            name = self._own("attribute", expression.attribute, Attribute).name
+            constraint = Constraint(
+                name,
+                expression.operator,
+                expression.value,
+                targets,
+                expression.hysteresis,
+                expression.dwell,
+            )
+            constraints.append(constraint)
+        return constraints
 
-    def _declare(self, *added: Changeable) -> None:
-        if not self._observers and len(added) == 1:
-            self._enter(added)
-            return
-        self._amend(
-            "declared",
-            added,
-            partial(self._enter, added),
-            lambda: [_row(self, element) for element in added],
-        )
+    def _declare(self, added: Sequence[Changeable]) -> None:
+        def put() -> None:
+            for element in added:
+                self._tables[type(element)][_key(element)] = element
 
-    def _enter(self, added: Iterable[Changeable]) -> None:
-        for element in added:
-            self._tables[type(element)][_key(element)] = element
+        self._amend("declared", added, put, lambda: [_row(self, element) for element in added])
 
     def _amend(
         self,
@@ -658,17 +647,6 @@ def _set(element: Changeable, values: Mapping[str, object]) -> None:
         object.__setattr__(element, field, value)
 
 
-def _constraint(targets: tuple[Constrainable, ...], comparison: Expression) -> Constraint:
-    return Constraint(
-        comparison.attribute,
-        comparison.operator,
-        comparison.value,
-        targets,
-        comparison.hysteresis,
-        comparison.dwell,
-    )
-
-
 def _suffix(file: Path) -> str:
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
@@ -680,34 +658,6 @@ def _suffix(file: Path) -> str:
     return suffix
 
 
-def _users_of(model: Owner, element: Element) -> list[str]:
-    """Return what needs an element, in words."""
-    named = [field for field, cls in REFERENCES.items() if isinstance(element, cls)]
-    users = []
-    for table in model.tables.values():
-        for user in table.values():
-            stated = [name for field in named for name in _listed(getattr(user, field, ()))]
-            rated = [rate.while_ for rate in getattr(user, "rates", ())]
-            is_action = isinstance(element, Action)
-            if element in getattr(user, "restores", ()) or element.name in stated:
-                users.append(_described(user))
-            elif is_action and element.name in rated:
-                users.append(f"a rate of {user.name!r}")
-    return users
-
-
-def _listed(value: object) -> tuple[Any, ...]:
-    return value if isinstance(value, tuple) else (value,)
-
-
-def _described(element: Changeable) -> str:
-    if isinstance(element, Element):
-        return f"{KINDS[type(element)]} {element.name!r}"
-    if isinstance(element, Constraint):
-        return f"constraint {element}"
-    return f"an estimation of {element.attribute!r}"
-
-
 _ABOUT: Final[Mapping[type, tuple[type, ...]]] = {
     StatusFact: (*_NAMED, Constraint),
     RequiredFact: (Action, Function, Component),
@@ -716,16 +666,17 @@ _ABOUT: Final[Mapping[type, tuple[type, ...]]] = {
 """What each fact about an element can be about."""
 
 
-def _concerns(fact: Fact, removed: Collection[Changeable]) -> bool:
-    """Return whether a fact is about an element that is removed."""
-    for field in fields(fact):
-        value = getattr(fact, field.name)
-        names = value if isinstance(value, tuple | Mapping) else (value,)
+def _refers(described: Element | Constraint | Estimation | Fact, element: Changeable) -> bool:
+    """Return whether an element or fact holds another, or names it."""
+    checked = CHECKS.get(type(described), {})
+    for field in fields(described):
+        value = getattr(described, field.name)
         is_preference = field.name == "preference"
         cls: Any = Attribute if is_preference else REFERENCES.get(field.name, ())
-        for element in removed:
-            if element is value or (isinstance(element, cls) and element.name in names):
-                return True
+        held = value if isinstance(value, tuple | Mapping) else (value,)
+        is_named = isinstance(element, cls) and element.name in held
+        if field.name not in checked and (is_named or element in held):
+            return True
     return False
 
 

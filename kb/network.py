@@ -54,6 +54,7 @@ class Node:
         "kind",
         "level",
         "name",
+        "network",
         "requires",
         "used_by",
     )
@@ -67,9 +68,17 @@ class Node:
     requires: list["Node"]
     used_by: list["Node"]
 
-    def __init__(self, index: int, kind: str, element: Element | Constraint) -> None:
+    def __init__(
+        self, network: "Network", index: int, kind: str, element: Element | Constraint
+    ) -> None:
+        self.network = network
         self.index = index  # the order of declaration
         self.kind = kind
+        self.name = element.name if isinstance(element, Element) else str(element)
+        self.constraints = []
+        self.debounced = []
+        self.requires = []
+        self.used_by = []
         self.level = LEVELS[kind]
         self.element = element
         if isinstance(element, Constraint):
@@ -84,6 +93,9 @@ class Node:
         owner = self.used_by[0]
         return owner.kind, owner.name, owner.constraints.index(self)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Network.referred, (self.network, self.ref)
+
     def __repr__(self) -> str:
         return f"<{self.kind} {self.name!r}>"
 
@@ -92,19 +104,22 @@ class Node:
 
 
 class Network:
-    """One node for each element of a model, found by name within its kind.
+    """One node for each element of a model as it is now, found by name within its kind.
 
-    A constraint by itself.
+    A constraint by itself. When the model changes, a new network is made.
     """
 
     def __init__(self, model: Owner) -> None:
         self.model = model
-        self.revision = 0  # grows at each `renew`
-        self._count = 0
         self._tables: dict[type, ByName[Node]] = {}
+        count = 0
         for cls, kind in KINDS.items():
-            if kind in LEVELS:
-                self._tables[cls] = ByName(kind, siblings=self._tables)
+            if kind not in LEVELS:
+                continue
+            self._tables[cls] = nodes = ByName(kind, siblings=self._tables)
+            for key, element in model.tables[cls].items():
+                nodes[key] = Node(self, count, kind, element)
+                count += 1
         self.attributes: Mapping[str, Node] = self._tables[Attribute]
         self.components: Mapping[str, Node] = self._tables[Component]
         self.configurations: Mapping[str, Node] = self._tables[Configuration]
@@ -114,12 +129,15 @@ class Network:
         self.constraints: Mapping[Constraint, Node] = self._tables[Constraint]
         tables = {KINDS[cls]: table for cls, table in self._tables.items() if cls is not Constraint}
         self.kinds: Mapping[str, Mapping[str, Node]] = ByName("kind of element", tables)
-        self.renew()
+        self._link_all()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Network, (self.model,)
 
     def present(self) -> Iterator[Node]:
         """Yield the node of every element that is in the model."""
         for table in self._tables.values():
-            yield from tuple(table.values())
+            yield from table.values()
 
     def find(self, element: Element | Constraint) -> Node:
         """Return the node of an element of this model.
@@ -149,27 +167,7 @@ class Network:
             "(kind, name, position) by what it is on"
         )
 
-    def renew(self) -> None:
-        """Link the nodes of all elements that are in the model now; it can be repeated.
-
-        An element keeps its node. The index of a removed element is not used again.
-        """
-        self.revision += 1
-        for cls, nodes in self._tables.items():
-            elements = self.model.tables[cls]
-            for key, element in elements.items():
-                node = nodes.get(key)
-                if node is None or node.element is not element:
-                    node = Node(self._count, KINDS[cls], element)
-                    self._count += 1
-                node.name = str(key)
-                node.constraints = []
-                node.debounced = []
-                node.requires = []
-                node.used_by = []
-                nodes[key] = node
-            for key in [key for key in nodes if key not in elements]:
-                nodes.pop(key, None)
+    def _link_all(self) -> None:
         for node in self.configurations.values():
             _link(self.components[node.element.component], node)
         for node in self.designs.values():

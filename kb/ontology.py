@@ -524,7 +524,7 @@ class _Live(_Graph):
         self._ended: deque[tuple[str, str]] = deque()
         self._measured: deque[tuple[str, str]] = deque()
         with kb.reading() as state:
-            self._revision = state.network.revision
+            self._network = state.network
             described = list(self.describe(kb.model))
         for individual in described:
             self.put(individual)
@@ -537,7 +537,7 @@ class _Live(_Graph):
         with kb.reading() as state:
             if kb.log.last == self._last:
                 return True
-            if state.network.revision != self._revision:
+            if state.network is not self._network:
                 return False
             events = list(kb.log.since(max(self._last, 0)))
             measured = [
@@ -574,9 +574,9 @@ class _Live(_Graph):
                 if node.kind in ("action", "function", "component"):
                     stated["is_required"] = state.is_required(node)
                 yield Individual("", self.ids[node.element], stated)
-        for name, parameters in state.parameters.items():
-            stated = {"component": name, "parameters": parameters}
-            yield Individual("ParametersInForce", _id("ParametersInForce", name), stated)
+        for node, parameters in state.parameters.items():
+            stated = {"component": node.name, "parameters": parameters}
+            yield Individual("ParametersInForce", _id("ParametersInForce", node.name), stated)
 
     def _present(self, state: State) -> Iterator[tuple[Period, dict[str, Any]]]:
         """Yield what goes on now, with its fields."""

@@ -200,9 +200,8 @@ class VetoAnswer:
     number: int = 0
 
 
+RecordT = TypeVar("RecordT", RequiredAction, ReconfigurationPlan, Process, Attempt, VetoAnswer)
 Record = RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer
-_CLASSES: Final = (RequiredAction, ReconfigurationPlan, Process, Attempt, VetoAnswer)
-"""The classes of records, each after those that it refers to."""
 
 
 class Log:
@@ -271,14 +270,13 @@ class Records:
     """
 
     def __init__(self) -> None:
-        self._tables: dict[type, dict[int, Any]] = {cls: {} for cls in _CLASSES}
-        self.requests: dict[int, RequiredAction] = self._tables[RequiredAction]
+        self.requests: dict[int, RequiredAction] = {}
         self.required: dict[str, RequiredAction] = {}
-        self.plans: dict[int, ReconfigurationPlan] = self._tables[ReconfigurationPlan]
+        self.plans: dict[int, ReconfigurationPlan] = {}
         self.open_plans: dict[int, ReconfigurationPlan] = {}
-        self.processes: dict[int, Process] = self._tables[Process]
-        self.attempts: dict[int, Attempt] = self._tables[Attempt]
-        self.answers: dict[int, VetoAnswer] = self._tables[VetoAnswer]
+        self.processes: dict[int, Process] = {}
+        self.attempts: dict[int, Attempt] = {}
+        self.answers: dict[int, VetoAnswer] = {}
         self.last_end: tuple[float, int] | None = None
         self.end_reasons: dict[int, str] = {}
         self.rejected = 0
@@ -290,14 +288,15 @@ class Records:
         now = event.time
         if event.plan is not None:
             self.end_reasons = {}
-            self._add(event.plan)
+            self._add(self.plans, event.plan)
         match event.verb, event.arguments:
             case "request_action", (name, preference):
                 if isinstance(preference, Mapping):
                     preference = MappingProxyType(dict(preference))
-                cause = event.cause
-                number = event.number
-                self._add(RequiredAction(name, preference, now, cause=cause, number=number))
+                request = RequiredAction(
+                    name, preference, now, cause=event.cause, number=event.number
+                )
+                self._add(self.requests, request)
             case "cancel_action", (name, result, reason) if name in self.required:
                 self.last_end = now, event.number
                 if reason:
@@ -320,7 +319,7 @@ class Records:
                     if open_plan.end is None
                 }
             case "component_started", (name, pid):
-                self._add(Process(name, pid, now, number=event.number))
+                self._add(self.processes, Process(name, pid, now, number=event.number))
             case "component_ended", (name, pid):
                 for process in self.running(name, pid):
                     _finish(process, end=now)
@@ -329,19 +328,18 @@ class Records:
                     self._attempted = event.number, next(reversed(self.attempts), 0) + 1
                 values = MappingProxyType(dict(parameters))
                 command = self.plans[number], component, operation, name, values, count, now
-                self._add(Attempt(*command, serial=self._attempted[1]))
+                self._add(self.attempts, Attempt(*command, serial=self._attempted[1]))
             case "finish_attempt", (serial, result, reason):
                 if serial in self.attempts:
                     _finish(self.attempts[serial], result=result, reason=reason, end=now)
             case "record_answer", (number, is_vetoed, reason):
-                plan = self.plans[number]
-                self._add(VetoAnswer(plan, now, is_vetoed, reason, event.number))
+                answer = VetoAnswer(self.plans[number], now, is_vetoed, reason, event.number)
+                self._add(self.answers, answer)
             case "progress", (action, behaviour, saved):
                 self.progress[action, behaviour] = saved
 
-    def _add(self, record: Record) -> None:
+    def _add(self, table: dict[int, RecordT], record: RecordT) -> None:
         """Add a record, unless there is one of this number already."""
-        table = self._tables[type(record)]
         number = record.serial if isinstance(record, Attempt) else record.number
         own = table.setdefault(number, record)
         if isinstance(own, RequiredAction) and own.end is None:
@@ -371,41 +369,17 @@ class Records:
         values = {field.name: getattr(fact, field.name) for field in fields(fact)}
         values |= {"start": start, "number": number}
         if isinstance(fact, ProcessFact):
-            self._add(Process(**values))
+            self._add(self.processes, Process(**values))
             return
         if fact.end is None and fact.result is not None:
             values["end"] = start
         if isinstance(fact, PlanFact):
             values |= {"reason": "stated by the model", "number": len(self.plans) + 1}
-            self._add(ReconfigurationPlan(**values))
+            self._add(self.plans, ReconfigurationPlan(**values))
             return
         if fact.preference and list(fact.preference.values()) == [1.0]:
             (values["preference"],) = fact.preference
-        self._add(RequiredAction(**values))
-
-    def to_json(self) -> dict[str, Any]:
-        """Return all records as values of which JSON is made."""
-        tables = self._tables.values()
-        return {
-            "records": [[written(record) for record in table.values()] for table in tables],
-            "end_reasons": list(self.end_reasons.items()),
-            "last_end": self.last_end,
-            "rejected": self.rejected,
-            "progress": [[*key, saved] for key, saved in self.progress.items()],
-        }
-
-    def from_json(self, written: Mapping[str, Any]) -> None:
-        """Restore the records that `to_json` returned."""
-        for cls, records in zip(_CLASSES, written["records"], strict=True):
-            for values in records:
-                if "plan" in values:
-                    values["plan"] = self.plans[values["plan"]]
-                self._add(restored(cls, values))
-        self.end_reasons = dict(written["end_reasons"])
-        self.last_end = written["last_end"] and tuple(written["last_end"])
-        self.rejected = written["rejected"]
-        for action, behaviour, saved in written["progress"]:
-            self.progress[action, behaviour] = saved
+        self._add(self.requests, RequiredAction(**values))
 
 
 class HistoryView:
@@ -468,22 +442,6 @@ def read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
 
 
 copyreg.pickle(MappingProxyType, lambda mapping: (read_only, (dict(mapping),)))
-
-
-def written(record: Record) -> dict[str, Any]:
-    """Return a record as values that JSON can hold."""
-    return {field.name: plain(getattr(record, field.name)) for field in fields(record)}
-
-
-def restored(cls: type[T], written: Mapping[str, Any]) -> T:
-    """Return the record that was written; a plan that it names is given as itself."""
-    values = dict(written)
-    for name, value in written.items():
-        if isinstance(value, list):
-            values[name] = tuple(value)
-        elif isinstance(value, dict):
-            values[name] = MappingProxyType(value)
-    return cls(**values)
 
 
 def plain(value: object) -> object:

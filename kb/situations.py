@@ -45,7 +45,7 @@ def is_feasible(base: Readable, action: str) -> bool:
 def selectable_actions(base: Readable) -> tuple[str, ...]:
     """Names of the actions that can be done now."""
     with base.reading() as state:
-        return _selectable(state, tuple(state.network.actions.values()))
+        return _selectable(state, state.network.actions.values())
 
 
 def selectable_designs(base: Readable, function: str) -> tuple[str, ...]:
@@ -198,11 +198,7 @@ def preferred(
 
 
 def _selectable(state: State, nodes: Iterable[Node]) -> tuple[str, ...]:
-    """Return the names of nodes that are not unfeasible; a situation lacks what came meanwhile."""
-    unfeasible = UNFEASIBLE
-    return tuple(
-        node.name for node in nodes if state.status.get(node, unfeasible) is not unfeasible
-    )
+    return tuple(node.name for node in nodes if state.status[node] is not UNFEASIBLE)
 
 
 def _adaptable(state: State, kind: str) -> tuple[str, ...]:
@@ -312,8 +308,7 @@ class Situation:
     feasible_until = feasible_until
 
     def reading(self) -> AbstractContextManager[State]:
-        """Give the facts and statuses, to be read only, of the model as it is now."""
-        self._state.follow_model()
+        """Give the facts and statuses, to be read only, of the model as it was."""
         return nullcontext(self._state)
 
     def __repr__(self) -> str:

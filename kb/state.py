@@ -7,14 +7,13 @@ constraint, configuration, component, design, function, action.
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice
 from operator import attrgetter
-from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 from kb.debounce import NEVER, Debounced, debounce, policy_status, voted_status
-from kb.elements import ComponentKind, Parameters
+from kb.elements import Attribute, Changeable, ComponentKind, Constraint, Parameters
 from kb.events import Event
 from kb.network import LEVELS, Network, Node
 from kb.records import ReconfigurationPlan
@@ -33,18 +32,9 @@ KEPT: Final = 10_000
 """How many measurements of each attribute are kept: the newest ones."""
 
 
+_UNSTORED: Final = ("network", "keep", "_outdated")
 _CONFIGURATION: Final = LEVELS["configuration"]
 _COMPONENT: Final = LEVELS["component"]
-_FLAGS: Final = ("stale", "failed", "active", "selected", "requested", "asserted_required")
-_VALUES: Final[Mapping[str, Callable[[Any], Any]]] = {
-    "value": float,
-    "time": float,
-    "asserted": Status,
-    "silent_until": int,
-    "debounced": Debounced.from_json,
-    "histories": lambda rows: deque(map(tuple, rows)),
-}
-"""The facts that are values by node, and how each is read from JSON."""
 
 
 class Reason(NamedTuple):
@@ -106,10 +96,12 @@ class State:
         debounced: what is remembered of each debounced constraint.
         silent_until: the last event before the measurements that count in debouncing, by attribute.
         reasons: those given with facts, by fact and node.
-        parameters: those last set on each component, by its name.
+        parameters: those last set on each component.
         histories: the newest measurements of each attribute, with the number of the event; shared
             with all copies.
         status: the status of every node but attributes.
+        changed_by: the number of the last event that changed the status of a node.
+        feasibility_changed_by: the last event that made an action feasible or unfeasible.
         before: the statuses that have changed in the event that is applied, as they were before.
         adaptable: functions and components that need a choice, or may get a better one.
         next_due: no sooner than this time changes something by itself [s].
@@ -130,9 +122,11 @@ class State:
         self.debounced: dict[Node, Debounced] = {}
         self.silent_until: dict[Node, int] = {}
         self.reasons: dict[tuple[str, Node], Reason] = {}
-        self.parameters: dict[str, Parameters] = {}
+        self.parameters: dict[Node, Parameters] = {}
         self.histories: dict[Node, deque[tuple[float, float, int]]] = {}
         self.status: dict[Node, Status] = {}
+        self.changed_by: dict[Node, int] = {}
+        self.feasibility_changed_by: int | None = None
         self.before: dict[Node, Status] = {}
         self.adaptable: set[Node] = set()
         self.next_due = NEVER
@@ -140,7 +134,6 @@ class State:
         self._obsolete: set[Node] = set()
         self._inactive_required: set[Node] = set()
         self._outdated: list[set[Node]] = [set() for _ in LEVELS]
-        self._revision = network.revision
         self.touch(network.present())
         self.infer()
         self.before = {}
@@ -153,6 +146,16 @@ class State:
             vars(other)[name] = content.copy() if is_copied else content
         other._outdated = [set() for _ in LEVELS]
         return other
+
+    def facts(self) -> dict[str, Any]:
+        """Return everything by name, as a store keeps it."""
+        return {name: value for name, value in vars(self).items() if name not in _UNSTORED}
+
+    def restore(self, facts: Mapping[str, Any]) -> None:
+        """Restore what `facts` returned."""
+        vars(self).update(facts)
+        for node, measurements in self.histories.items():
+            self.histories[node] = deque(measurements, self.keep)
 
     # ---------------------------------------------------------------- asked
 
@@ -504,32 +507,30 @@ class State:
 
     # ---------------------------------------------------------------- the model
 
-    def renew(self, changed: Iterable[Node], now: float) -> None:
-        """Follow a model that has changed; it can be repeated.
+    def moved(self, network: Network, changed: Iterable[Changeable], now: float) -> "State":
+        """Return these facts on the network of a model that has changed since.
 
         Args:
-            changed: attributes and constraints that are new, or are declared otherwise now.
+            network: the new one.
+            changed: the elements that are new, or are declared otherwise now.
             now: the time of the change [s].
         """
-        present = {*self.network.present(), *self.network.components}  # parameters have names
+        nodes = {node.element: node for node in network.present()}
+        state = self.copy()
+        state.network = network
         for name, content in vars(self).items():
             if isinstance(content, set):
-                content &= present
-            elif isinstance(content, dict) and name != "status":
-                for key in list(content):
-                    if (key[1] if isinstance(key, tuple) else key) not in present:
-                        del content[key]
-        for node in changed:
-            self._restart(node, now)
-        self._revision = self.network.revision
-        self._outdated = [set() for _ in LEVELS]
-        self.touch(self.network.present())
-        self.infer()
-
-    def follow_model(self) -> None:
-        """Follow the network of a model that has changed since this copy was made."""
-        if self._revision != self.network.revision:
-            self.renew((), 0.0)
+                vars(state)[name] = {node for key in content if (node := _moved(key, nodes))}
+            elif isinstance(content, dict):
+                vars(state)[name] = {
+                    node: value for key, value in content.items() if (node := _moved(key, nodes))
+                }
+        for element in changed:
+            if isinstance(element, Attribute | Constraint):
+                state._restart(nodes[element], now)
+        state.touch(network.present())
+        state.infer()
+        return state
 
     def _restart(self, node: Node, now: float) -> None:
         """Judge constraints as if all that is known of their attribute were the latest value."""
@@ -544,51 +545,13 @@ class State:
                 self.debounced[constraint] = Debounced()
         self._schedule_attribute(attribute, now)
 
-    # ---------------------------------------------------------------- as JSON
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the facts as values of which JSON is made."""
-        facts = vars(self)
-        written: dict[str, Any] = {"parameters": self.parameters}
-        for name in _FLAGS:
-            written[name] = [node.ref for node in in_order(facts[name])]
-        for name in _VALUES:
-            written[name] = [(node.ref, value) for node, value in facts[name].items()]
-        written["reasons"] = [(fact, node.ref, *why) for (fact, node), why in self.reasons.items()]
-        return written
-
-    def from_json(self, written: Mapping[str, Any]) -> None:
-        """Restore what `to_json` returned."""
-        find = self.network.referred
-        facts = vars(self)
-        for name in _FLAGS:
-            facts[name] = {find(ref) for ref in written[name]}
-        for name, read in _VALUES.items():
-            facts[name] = {find(ref): read(value) for ref, value in written[name]}
-        for name, values in written["parameters"].items():
-            self.parameters[name] = MappingProxyType(values)
-        for node, rows in self.histories.items():
-            self.histories[node] = deque(rows, self.keep)
-        for fact, ref, text, until in written["reasons"]:
-            node = find(ref)
-            self.reasons[fact, node] = Reason(text, until)
-            if fact == "asserted":
-                self._schedule("lapse", node, until)
-        for node, time in self.time.items():
-            self._schedule_attribute(node, time)
-        self.touch(self.network.present())
-        self.infer()
-        self.before = {}
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and deep-copy a state by its facts; the statuses are inferred again."""
-        return _restored, (self.network.model, self.keep, self.to_json())
-
-
-def _restored(model: Any, keep: int, written: Mapping[str, Any]) -> State:  # noqa: ANN401  # a `Model`
-    state = State(Network(model), keep)
-    state.from_json(written)
-    return state
+def _moved(key: Any, nodes: Mapping[Any, Node]) -> Any:  # noqa: ANN401  # a node, alone or in a pair
+    """Return a key of facts in another network; None if its element is not there."""
+    if isinstance(key, Node):
+        return nodes.get(key.element)
+    word, node = key
+    return (word, nodes[node.element]) if node.element in nodes else None
 
 
 def _put(nodes: set[Node], node: Node, is_in: bool) -> None:

@@ -10,25 +10,34 @@ import logging
 import os
 import sqlite3
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, suppress
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from threading import Condition, Thread
 from threading import Event as Signal
+from types import MappingProxyType
 from typing import Any, Final
 
+from kb.debounce import Debounced
 from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.model import Model, differences
+from kb.network import Network, Node
 from kb.records import (
+    Attempt,
     Log,
+    Process,
     ReconfigurationPlan,
-    restored,
-    written,
+    RequiredAction,
+    VetoAnswer,
 )
+from kb.state import Reason
+from kb.status import Status
 
 _APPLICATION: Final = 0x524F5341  # ROSA in ASCII
-_FORMAT: Final = 5
+_FORMAT: Final = 6
 _TABLES: Final = """
 CREATE TABLE about (name TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE events (number INTEGER PRIMARY KEY, time REAL NOT NULL, verb TEXT NOT NULL,
@@ -116,11 +125,12 @@ class Store:
                 f"{'; '.join(differences(then, model))}. Give that model, or name another file"
             )
 
-    def restored(self) -> tuple[dict[str, Any] | None, list[Event]]:
+    def restored(self, network: Network) -> tuple[dict[str, Any] | None, list[Event]]:
         """Return the last snapshot, and the events after it."""
         row = self._connection.execute("SELECT number, data FROM snapshots").fetchone()
         self._snapshot_number, data = row or (0, "null")
-        return json.loads(data), list(events_in(self._connection, self._snapshot_number))
+        snapshot = decode(json.loads(data), network, [])
+        return snapshot, list(events_in(self._connection, self._snapshot_number))
 
     def check_open(self) -> None:
         """Raise an error if nothing more can be recorded here."""
@@ -240,7 +250,7 @@ class Store:
             since = last - self._snapshot_number
             is_long_ago = since >= (1000 if self._is_stopping else _SNAPSHOT_AFTER)
             if is_long_ago or any(event.verb == "amend" for event in batch):
-                snapshot = json.dumps(self._snapshot(), default=_plain, separators=(",", ":"))
+                snapshot = json.dumps(encode(self._snapshot(), {}), separators=(",", ":"))
         was_wrong = self.error is not None
         if len(batch) != last - self.saved:
             self._is_given_up = True
@@ -400,8 +410,64 @@ def backup_store(path: Path, copy: Path) -> None:
         connection.execute("PRAGMA journal_mode=DELETE")
 
 
-def _plain(value: Any) -> object:  # noqa: ANN401  # what JSON does not know
-    return dict(value) if isinstance(value, Mapping) else list(value)
+_READERS: Final[dict[str, Callable[[list[Any]], Any]]] = {
+    "dict": dict,
+    "mappingproxy": lambda pairs: MappingProxyType(dict(pairs)),
+    "set": set,
+    "tuple": tuple,
+    "deque": lambda rows: deque(map(tuple, rows)),
+}
+_CLASSES: Final = {
+    cls.__name__: cls
+    for cls in (
+        *(Status, Debounced, Reason),
+        *(RequiredAction, ReconfigurationPlan, Process, Attempt, VetoAnswer),
+    )
+}
+"""The classes of which facts are made, beside the plain ones."""
+
+
+def encode(value: Any, memo: dict[int, int]) -> Any:  # noqa: ANN401  # of which facts are made
+    """Return a fact as JSON can hold it: what JSON does not know as {class: content}.
+
+    A record that is there several times is written once, and then by its place in the memo.
+    """
+    cls = type(value)
+    if cls is Node:
+        return {"Node": value.ref}
+    if cls.__name__ not in {*_READERS, *_CLASSES}:
+        return value
+    if id(value) in memo:
+        return {"same": memo[id(value)]}
+    if cls is Status:
+        return {"Status": [str(value)]}
+    if cls is deque:  # of measurements, which are many
+        return {"deque": list(value)}
+    items = value.items() if isinstance(value, Mapping) else value
+    if is_dataclass(value):
+        items = [getattr(value, field.name) for field in fields(value)]
+    content = [encode(item, memo) for item in items]
+    if is_dataclass(value):
+        memo[id(value)] = len(memo)
+    return {cls.__name__: content}
+
+
+def decode(written: Any, network: Network | None, memo: list[Any]) -> Any:  # noqa: ANN401  # what JSON holds
+    """Return the fact that was encoded."""
+    if not isinstance(written, dict):
+        return written
+    ((word, content),) = written.items()
+    if word == "same":
+        return memo[content]
+    if word == "Node" and network is not None:
+        return network.referred(tuple(content))
+    items = [decode(item, network, memo) for item in content]
+    if word in _READERS:
+        return _READERS[word](items)
+    value = _CLASSES[word](*items)
+    if is_dataclass(value):
+        memo.append(value)
+    return value
 
 
 def events_in(connection: sqlite3.Connection, after: int = 0) -> Iterator[Event]:
@@ -409,14 +475,14 @@ def events_in(connection: sqlite3.Connection, after: int = 0) -> Iterator[Event]
     query = "SELECT data FROM events WHERE number > ? ORDER BY number"
     for (data,) in connection.execute(query, (after,)):
         values = json.loads(data)
-        plan = values.get("plan")
-        yield Event.from_json(values)._replace(plan=plan and restored(ReconfigurationPlan, plan))
+        yield Event.from_json(values, decode(values.get("plan"), None, []))
 
 
 def _row(event: Event) -> tuple[int, float, str, str, str]:
-    values = event._replace(changes=()).to_json()
+    values = event.to_json()
+    values.pop("changes", None)  # they follow again
     if event.plan is not None:
-        values["plan"] = written(event.plan) | {"end": None, "result": None}
+        values["plan"] = encode(replace(event.plan, end=None, result=None), {})
     subject = event.subject.encode("utf-8", "replace").decode()
     data = json.dumps(values, separators=(",", ":"))
     return event.number, float(event.time), event.verb, subject, data

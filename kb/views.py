@@ -3,13 +3,13 @@
 A view reads from its knowledge base each time it is asked; nothing can be changed through it.
 """
 
-from collections.abc import Callable, ItemsView, Iterator, Mapping, ValuesView
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar
 
-from kb.elements import AttributeKind, ComponentKind, Constraint, Element, Parameters
+from kb.elements import KINDS, Parameters
 from kb.network import Node, Ref
 from kb.state import State
 from kb.status import Status
@@ -37,40 +37,43 @@ class Readable(Protocol):
 
 @dataclass(frozen=True, repr=False)
 class ElementView:
-    """What all views have in common.
+    """What all views have in common; the fields of the element are read through it too.
 
     Attributes:
         base: the knowledge base or situation that the view reads from.
-        node: the node of the element in its network.
+        element: the element of the model that this view shows, e.g. to change it there.
     """
 
-    __slots__ = ("base", "node")
+    __slots__ = ("base", "element")
 
     base: Readable
-    node: Node
+    element: Any
+
+    @property
+    def node(self) -> Node:
+        """The node of the element in the network of the base."""
+        with self.base.reading() as state:
+            return state.network.find(self.element)
 
     @property
     def name(self) -> str:
         """The element's name, unique within its kind; the name of a constraint is its text."""
         return self.node.name
 
-    @property
-    def element(self) -> Element | Constraint:
-        """The element of the model that this view shows, e.g. to change it there."""
-        element: Element | Constraint = self.node.element
-        return element
+    def __getattr__(self, field: str) -> Any:  # noqa: ANN401  # of the element
+        return getattr(self.element, field)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle a view as that of the present situation; a knowledge base cannot be pickled."""
         return _restored, (type(self), self.base.situation(), self.node.ref)
 
     def __repr__(self) -> str:
-        return f"<{self.node.kind} {self.name!r}>"
+        return f"<{KINDS[type(self.element)]} {self.name!r}>"
 
 
 def _restored(view: type[ElementView], base: Readable, ref: Ref) -> ElementView:
     with base.reading() as state:
-        return view(base, state.network.referred(ref))
+        return view(base, state.network.referred(ref).element)
 
 
 class Known(Generic[T]):
@@ -81,21 +84,7 @@ class Known(Generic[T]):
 
     def __get__(self, view: ElementView, _: type) -> T:
         with view.base.reading() as state:
-            return self._read(state, view.node)
-
-
-class Declared(Generic[T]):
-    """A property that reads the field of the same name of the model's element.
-
-    See its class in `kb.elements`.
-    """
-
-    def __set_name__(self, _: type, name: str) -> None:
-        self._field = name
-
-    def __get__(self, view: ElementView, _: type) -> T:
-        value: T = getattr(view.element, self._field)
-        return value
+            return self._read(state, state.network.find(view.element))
 
 
 def _parts(_: State, node: Node) -> tuple[str, ...]:
@@ -111,39 +100,40 @@ def _history(state: State, node: Node) -> tuple[tuple[float, float], ...]:
     return tuple((time, value) for time, value, _ in tuple(state.histories.get(node, ())))
 
 
-class ConstraintView(ElementView):
-    """A constraint: `attribute operator value`; the value is in the attribute's unit."""
-
-    __slots__ = ()
-
-    status = Known[Status](lambda state, node: state.status[node])
-    attribute = Declared[str]()
-    operator = Declared[str]()
-    value = Declared[float]()
-
-
 class _StatusView(ElementView):
     __slots__ = ()
 
     status = Known[Status](lambda state, node: state.status[node])
 
+
+class ConstraintView(_StatusView):
+    """A constraint: `attribute operator value`; the value is in the attribute's unit."""
+
+    __slots__ = ()
+
+
+class _ConstrainableView(_StatusView):
+    __slots__ = ()
+
     @property
     def constraints(self) -> tuple[ConstraintView, ...]:
         """The constraints on this element itself, not on its parts."""
-        with self.base.reading():
-            return tuple(ConstraintView(self.base, node) for node in self.node.constraints)
+        return tuple(ConstraintView(self.base, node.element) for node in self.node.constraints)
 
 
-class ActionView(_StatusView):
+class _RequirableView(_ConstrainableView):
+    __slots__ = ()
+
+    is_required = Known[bool](State.is_required)
+
+
+class ActionView(_RequirableView):
     """An action and whether it is feasible now; an action is required while the mission does it."""
 
     __slots__ = ()
 
-    is_required = Known[bool](State.is_required)
-    functions = Known(_parts)
 
-
-class FunctionView(_StatusView):
+class FunctionView(_RequirableView):
     """A function and whether it is realised now.
 
     A function is required while a required action needs it.
@@ -151,38 +141,29 @@ class FunctionView(_StatusView):
 
     __slots__ = ()
 
-    is_required = Known[bool](State.is_required)
-    always_improve = Declared[bool]()
     designs = Known(_parts)
 
 
-class ComponentView(_StatusView):
+class ComponentView(_RequirableView):
     """A component: whether it is required, whether it is running, and with which parameters."""
 
     __slots__ = ()
 
-    is_required = Known[bool](State.is_required)
     is_active = Known[bool](lambda state, node: node in state.active)
-    always_improve = Declared[bool]()
-    kind = Declared[ComponentKind]()
-    stops_to_configure = Declared[bool]()
-    package = Declared[str]()
-    executable = Declared[str]()
     configurations = Known(_parts)
 
     selected_configuration = Known(_selected)
     """Name of the selected configuration; None if none is selected."""
     parameters_in_force = Known[Parameters](
-        lambda state, node: state.parameters.get(node.name) or MappingProxyType({})
+        lambda state, node: state.parameters.get(node) or MappingProxyType({})
     )
     """The parameters that were set last; empty before the first time."""
 
 
-class _SelectableView(_StatusView):
+class _SelectableView(_ConstrainableView):
     __slots__ = ()
 
     is_selected = Known[bool](lambda state, node: node in state.selected)
-    priority = Declared[float | None]()
     reason = Known[str](lambda state, node: state.reason("selected", node).text)
     """The reason that was given with its selection; empty without one."""
 
@@ -192,17 +173,11 @@ class DesignView(_SelectableView):
 
     __slots__ = ()
 
-    function = Declared[str]()
-    components = Declared[tuple[str, ...]]()
-
 
 class ConfigurationView(_SelectableView):
     """A component configuration, one set of parameter values, and whether it is selected."""
 
     __slots__ = ()
-
-    component = Declared[str]()
-    parameters = Declared[Parameters]()
 
 
 class AttributeView(ElementView):
@@ -213,11 +188,6 @@ class AttributeView(ElementView):
 
     __slots__ = ()
 
-    kind = Declared[AttributeKind]()
-    max_age = Declared[float]()
-    unit = Declared[str]()
-    low = Declared[float]()
-    high = Declared[float]()
     value = Known[float | None](lambda state, node: state.value.get(node))
     time = Known[float | None](lambda state, node: state.time.get(node))
     is_stale = Known[bool](lambda state, node: node in state.stale)
@@ -235,39 +205,31 @@ class Views(Mapping[str, ViewT]):
     An unknown name raises UnknownName.
     """
 
-    def __init__(self, base: Readable, nodes: Mapping[str, Node], view: type[ViewT]) -> None:
+    def __init__(self, base: Readable, kind: str, view: type[ViewT]) -> None:
         self._base = base
-        self._table = nodes
+        self._kind = kind
         self._view = view
 
+    def _nodes(self) -> Mapping[str, Node]:
+        with self._base.reading() as state:
+            nodes: Mapping[str, Node] = getattr(state.network, self._kind)
+            return nodes
+
     def __getitem__(self, name: str) -> ViewT:
-        return self._view(self._base, self._table[name])
+        return self._view(self._base, self._nodes()[name].element)
 
     def __contains__(self, name: object) -> bool:
-        return name in self._table
+        return name in self._nodes()
 
     def __len__(self) -> int:
-        return len(self._table)
+        return len(self._nodes())
 
     def __iter__(self) -> Iterator[str]:
-        with self._base.reading():
-            return iter(tuple(self._table))
-
-    def values(self) -> ValuesView[ViewT]:
-        """Return the views of the elements that exist now."""
-        return self._now().values()
-
-    def items(self) -> ItemsView[str, ViewT]:
-        """Return the names and views of the elements that exist now."""
-        return self._now().items()
-
-    def _now(self) -> dict[str, ViewT]:
-        with self._base.reading():
-            return {name: self._view(self._base, node) for name, node in self._table.items()}
+        return iter(self._nodes())
 
 
 class ViewsOf(Generic[ViewT]):
-    """A property of a situation: the views of one kind, made anew so that nothing refers to itself.
+    """A property of a base: the views of one kind, made anew so that nothing refers to itself.
 
     So a situation is freed at once when nobody needs it.
     """
@@ -279,5 +241,4 @@ class ViewsOf(Generic[ViewT]):
         self._kind = name
 
     def __get__(self, base: Readable, owner: type) -> Views[ViewT]:
-        with base.reading() as state:
-            return Views(base, getattr(state.network, self._kind), self._view)
+        return Views(base, self._kind, self._view)

@@ -1,11 +1,14 @@
 """Settings: declared once, as fields of a frozen dataclass, then listed, read and checked."""
 
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from math import inf, isfinite
-from typing import Any, Final, Self
+from pathlib import Path
+from typing import Any, Final, Self, TypeVar, get_args, get_origin, get_type_hints
 
+T = TypeVar("T")
 Value = bool | int | float | str
 
 _KINDS: Final[Mapping[type, str]] = {
@@ -136,6 +139,9 @@ class RunSettings(Constants):
     planning_delay_s: float = setting(
         0.2, "s", "simulated time in which a plan is found", "own choice; PDDL only"
     )
+    plan_ahead: bool = setting(
+        False, "-", "plan no step that outlasts its action, by the forecasts", "PDDL only"
+    )
 
 
 def full_names(
@@ -179,3 +185,59 @@ def read_values(settings: Iterable[Setting], values: Mapping[str, object]) -> di
 def near(name: str, names: Iterable[str]) -> list[str]:
     """Return the nearest of these names."""
     return get_close_matches(name, sorted(names), n=3)
+
+
+# ------------------------------------------------------------ tables of a file
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read the tables of a TOML file.
+
+    Raises:
+        MissionError: it cannot be read.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise MissionError(f"cannot read {path}: {reason}") from None
+
+
+def from_table(kind: type[T], table: Mapping[str, Any], source: str) -> T:
+    """Return a dataclass with the values of a table, whose keys are its fields.
+
+    Raises:
+        MissionError: a key is unknown or a value of another type; the message names the source.
+    """
+    types = get_type_hints(kind)
+    values = {}
+    for name, value in table.items():
+        if name not in types:
+            close = near(name, types)
+            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(types)}"
+            raise MissionError(f"{source}: unknown key {name!r}; {hint}")
+        try:
+            values[name] = _typed(value, types[name])
+        except TypeError as error:
+            raise MissionError(f"{source}: {name} is {value!r}; expected is {error}") from None
+    return kind(**values)
+
+
+def _typed(value: Any, kind: Any) -> Any:  # noqa: ANN401  # a value of a file, and an annotation
+    """Return a value as this type; a number is a text, too. TypeError says what is expected."""
+    origin = get_origin(kind)
+    if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise TypeError("a list")
+        return tuple(_typed(item, get_args(kind)[0]) for item in value)
+    if origin is Mapping:
+        if not isinstance(value, dict):
+            raise TypeError("a table")
+        return {name: _typed(item, get_args(kind)[1]) for name, item in value.items()}
+    if kind is Any or isinstance(value, kind):
+        return value
+    if kind is str and isinstance(value, int | float):
+        return str(value).lower()
+    if kind is float and isinstance(value, int):
+        return value
+    raise TypeError(_KINDS[kind])

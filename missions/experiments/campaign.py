@@ -1,10 +1,10 @@
 """A campaign: what is to run, read from a file and expanded into named runs."""
 
-import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
-from itertools import combinations, count, product
+from itertools import count, product
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,9 +12,8 @@ from missions.baselines import MANAGERS, OURS, open_run
 from missions.engine.faults import Fault, read_fault
 from missions.engine.mission import MissionError, find_mission
 from missions.engine.runner import MissionRun
-from missions.engine.settings import near
+from missions.engine.settings import from_table, read_toml
 from missions.engine.task_layer import check_task
-from missions.views.output import files_tried
 
 Settings = Mapping[str, str]
 FAULTS: Final = "faults"
@@ -102,7 +101,7 @@ class Campaign:
     """
 
     name: str
-    missions: tuple[str, ...]
+    missions: tuple[str, ...] = ()
     managers: tuple[str, ...] = (OURS,)
     tasks: tuple[str, ...] = ("bt",)
     runs: int = 10
@@ -161,109 +160,34 @@ def paper_table(runs: int = 100) -> Campaign:
 
 
 def read_campaign(path: Path) -> Campaign:
-    """Read a campaign from a TOML file.
+    """Read a campaign from a TOML file; `rules` is short for the setting of that name.
 
-    Raises MissionError if it cannot be read, or says what is not expected.
+    Raises:
+        MissionError: it cannot be read, or says what is not expected.
     """
-    with files_tried(f"read {path}"):
-        content = path.read_bytes()
-    try:
-        data = tomllib.loads(content.decode())
-    except ValueError as error:
-        raise MissionError(f"{path} is no TOML: {error}") from error
-    return from_data({"name": path.stem} | data, str(path))
-
-
-def _is_value(value: object) -> bool:
-    return isinstance(value, str | int | float)
-
-
-def _is_table(value: object) -> bool:
-    return isinstance(value, dict) and all(map(_is_value, value.values()))
-
-
-def _is_list(value: object, holds: Callable[[Any], bool]) -> bool:
-    return isinstance(value, list | tuple) and bool(value) and all(map(holds, value))
-
-
-def _is_name(value: object) -> bool:
-    return isinstance(value, str) and value not in ("", ".", "..")
-
-
-def _is_number(value: object, least: int) -> bool:
-    return type(value) is int and value >= least
-
-
-_WORDS: Final = (
-    lambda value: _is_list(value, _is_name),
-    "a list of one name or more",
-)
-_KEYS: Final[Mapping[str, tuple[Callable[[Any], bool], str]]] = {
-    "name": (
-        lambda value: _is_name(value) and "/" not in value,
-        "a word that can be the name of a folder",
-    ),
-    "missions": _WORDS,
-    "managers": _WORDS,
-    "tasks": _WORDS,
-    "runs": (lambda value: _is_number(value, 1), "a whole number from 1"),
-    "first_seed": (lambda value: _is_number(value, 0), "a whole number from 0"),
-    "settings": (_is_table, "a table of names, each with a number, a word, true or false"),
-    "cases": (
-        lambda value: not value or _is_list(value, _is_table),
-        "a list of tables as settings",
-    ),
-    "sweep": (
-        lambda value: (
-            isinstance(value, dict)
-            and all(_is_list(values, _is_value) for values in value.values())
-        ),
-        "a table of names, each with a list of numbers, words, true or false",
-    ),
-    "rules": (_is_value, "a year"),
-}
-"""The keys of a campaign file: the check of each value, and what the message says is expected."""
+    table = {"name": path.stem, **read_toml(path)}
+    if "rules" in table:
+        table["settings"] = {**table.get("settings", {}), "rules": table.pop("rules")}
+    return from_data(table, str(path))
 
 
 def from_data(data: Mapping[str, Any], source: str) -> Campaign:
     """Make a campaign from plain data: its fields by name.
 
-    `rules` is short for the setting of that name.
-
     Raises:
         MissionError: a key or value is not what is expected; the message names the source.
     """
-    for key, value in data.items():
-        if key not in _KEYS:
-            close = near(key, _KEYS)
-            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(_KEYS)}"
-            raise MissionError(f"{source}: unknown key {key!r}; {hint}")
-        holds, expected = _KEYS[key]
-        if not holds(value):
-            raise MissionError(f"{source}: {key} is {value!r}; expected is {expected}")
-    if "missions" not in data:
-        raise MissionError(f'{source} says no missions; add, for example, missions = ["suave"]')
-    fields: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in data.items()
-    }
-    settings = dict(data.get("settings", {}))
-    if "rules" in fields:
-        settings["rules"] = fields.pop("rules")
-    fields["settings"] = _texts(settings)
-    fields["cases"] = tuple(map(_texts, data.get("cases", ())))
-    sweep = data.get("sweep", {})
-    fields["sweep"] = {name: tuple(map(_text, values)) for name, values in sweep.items()}
-    campaign = Campaign(**fields)
-    _check_once(campaign, source)
+    campaign = from_table(Campaign, data, source)
+    if "/" in campaign.name:
+        raise MissionError(f"{source}: name is {campaign.name!r}; it names a folder, without /")
+    names = Counter(run.name for run in campaign.planned())
+    if not names:
+        advice = 'give missions such as ["suave"], a value in each list, and at least 1 run'
+        raise MissionError(f"{source} says nothing to run; {advice}")
+    ((name, count),) = names.most_common(1)
+    if count > 1:
+        raise MissionError(f"{source} lists {name} {count} times; once is enough")
     return campaign
-
-
-def _texts(values: Mapping[str, object]) -> dict[str, str]:
-    return {name: _text(value) for name, value in values.items()}
-
-
-def _text(value: object) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def check_campaign(campaign: Campaign) -> None:
@@ -277,18 +201,3 @@ def check_campaign(campaign: Campaign) -> None:
         run = PlannedRun(name, *layer, campaign.first_seed, settings).open()
         with closing(run.world):
             run.end()
-
-
-def _check_once(campaign: Campaign, source: str) -> None:
-    """Refuse a value that is listed twice, or a setting that is given in two places."""
-    lists = {name: getattr(campaign, name) for name in ("missions", "managers", "tasks", "cases")}
-    for name, values in {**lists, **campaign.sweep}.items():
-        for value in values:
-            if values.count(value) > 1:
-                raise MissionError(f"{source}: {name} has {value} twice; once is enough")
-    places = {"settings": {*campaign.settings}, "sweep": {*campaign.sweep}}
-    places["cases"] = {name for case in campaign.cases for name in case}
-    for (place, names), (other, others) in combinations(places.items(), 2):
-        if both := names & others:
-            where = f"in {place} and in {other}"
-            raise MissionError(f"{source}: {min(both)} is given {where}; give it once")

@@ -4,12 +4,10 @@ The tools that request and cancel actions exist only if that is allowed; an unfe
 refused, as always.
 """
 
-import logging
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import wraps
 from importlib.metadata import version
-from inspect import signature
 from typing import TYPE_CHECKING, Any, Final
 
 from kb import EventKind, KnowledgeBase, KnowledgeBaseError
@@ -24,7 +22,6 @@ _MOST: Final = 100
 _PLANNING_S: Final = 10.0
 _ACTING: Final = ("request_action", "cancel_action")
 """The tools that act."""
-_log = logging.getLogger(__name__)
 INSTRUCTIONS: Final = (
     "A robot's knowledge base: which actions can be done now, why not, what would help, and how "
     "it is configured. "
@@ -34,6 +31,8 @@ INSTRUCTIONS: Final = (
 
 class Assistant:
     """Answers from a knowledge base; each public method is a tool.
+
+    All arguments are needed, as one of another name would be ignored.
 
     Args:
         mission: whose goals may be planned for; None if it has none.
@@ -61,15 +60,14 @@ class Assistant:
             for name, view in kb.attributes.items()
         }
         chosen = [*kb.designs.values(), *kb.configurations.values()]
-        return {
+        known: dict[str, Any] = {
             "measured": measured,
-            "functions": _statuses(kb.functions),
-            "designs": _statuses(kb.designs),
-            "components": _statuses(kb.components),
-            "configurations": _statuses(kb.configurations),
             "selected": [view.name for view in chosen if view.is_selected],
             "active": [name for name, view in kb.components.items() if view.is_active],
         }
+        for kind in ("functions", "designs", "components", "configurations"):
+            known[kind] = {name: str(view.status) for name, view in getattr(kb, kind).items()}
+        return known
 
     def why(self, element: str) -> str:
         """Say why an element of the model is as it is, and what would help."""
@@ -79,11 +77,9 @@ class Assistant:
         """Say why a function has its design, or a component its configuration."""
         return str(self._kb.explain_choice(element))
 
-    def what_if(
-        self, measured: dict[str, float] | None = None, failed: list[str] | None = None
-    ) -> dict[str, Any]:
+    def what_if(self, measured: dict[str, float], failed: list[str]) -> dict[str, Any]:
         """Say what could be done with other values and failed components; changes nothing."""
-        situation = self._kb.situation(measured or {}, failed=failed or ())
+        situation = self._kb.situation(measured, failed=failed)
         feasible = list(situation.selectable_actions())
         views = situation.actions.items()
         unfeasible = {name: situation.why(view) for name, view in views if name not in feasible}
@@ -96,15 +92,14 @@ class Assistant:
             return {"why not": self._kb.why(self._kb.actions[action])}
         return {"designs": dict(choice.designs), "configurations": dict(choice.configurations)}
 
-    def plan_for(self, goal: str = "") -> dict[str, Any]:
-        """Plan now for the mission's goal or another in PDDL, e.g. "(inspected pipeline)"."""
+    def plan_for(self, goal: str) -> dict[str, Any]:
+        """Plan now for a goal in PDDL, e.g. "(inspected pipeline)"; "" for the mission's own."""
         from missions.engine.question import answer, ask
 
         if self._mission is None:
             raise MissionError("this robot has no mission in PDDL to plan for")
-        feasible = self._kb.selectable_actions()
         goals = [goal] if goal else []
-        reply = answer(ask(mission=self._mission, feasible=feasible, goals=goals), _PLANNING_S)
+        reply = answer(ask(mission=self._mission, kb=self._kb, goals=goals), _PLANNING_S)
         return {
             "outcome": str(reply.result.outcome),
             "steps": [str(step) for step in reply.result.steps],
@@ -112,7 +107,7 @@ class Assistant:
             "obstacles": list(reply.obstacles),
         }
 
-    def latest_decisions(self, most: int = 20) -> list[dict[str, Any]]:
+    def latest_decisions(self, most: int) -> list[dict[str, Any]]:
         """Tell the last decisions with their causes: requests, and plans with their reasons."""
         kinds = (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)
         events = [event for event in self._kb.log if event.kind in kinds]
@@ -135,10 +130,6 @@ class Assistant:
         """Ask for an action no longer to be done."""
         self._kb.cancel_action(action)
         return {"accepted": True, "reason": ""}
-
-
-def _statuses(views: Mapping[str, Any]) -> dict[str, str]:
-    return {name: str(view.status) for name, view in views.items()}
 
 
 def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServer":
@@ -164,15 +155,9 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
             arguments: dict[str, Any],
             context: Any = None,  # noqa: ANN401  # as in its base
         ) -> Any:  # noqa: ANN401  # as in its base
-            """Call a tool, and pass on our errors in words; an unknown argument is one."""
+            """Call a tool, or say which there are."""
             if name not in tools:
                 raise ToolError(f"there is no tool {name!r:.80}; there are {', '.join(tools)}")
-            accepted = signature(tools[name]).parameters
-            for argument in arguments:  # else it is ignored, and another question is answered
-                if argument not in accepted:
-                    names = ", ".join(accepted) or "nothing"
-                    raise ToolError(f"{name} takes no {argument!r:.80}; it takes {names}")
-            _log.info("an assistant asks %s %.200r", name, arguments)
             return await super().call_tool(name, arguments, context)
 
     def in_words(tool: Callable[..., Any]) -> Callable[..., Any]:

@@ -5,19 +5,18 @@ The settings say what of a robot is what of a model, in Python or in `bridge.tom
 
 import logging
 import math
-import tomllib
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Any
 
 from kb import ComponentKind, KnowledgeBase, Status
 from kb.elements import Parameters
 from kb.managed_system import Operation
 from kb.processes import ProcessComponents, ros_node_programs
-from missions.engine.mission import MissionError
+from missions.engine.settings import MissionError, from_table, read_toml
 from missions.wires.node import (
     TIMEOUT_S,
     Disconnected,
@@ -35,15 +34,6 @@ _CONFIGURE, _ACTIVATE, _DEACTIVATE = 1, 3, 4
 """Transitions of lifecycle_msgs/Transition."""
 Calls = Generator[Reply, Message, None]
 _log = logging.getLogger(__name__)
-_WORDS: Final[Mapping[Any, str]] = {
-    str: "a text",
-    bool: "true or false",
-    float: "a number",
-    Mapping[str, str]: "a table of texts",
-    Mapping[str, float]: "a table of numbers",
-    Mapping[str, Any]: "a table",
-}
-"""What a field of each type holds."""
 
 
 @dataclass(frozen=True)
@@ -93,28 +83,7 @@ class BridgeSettings:
         Raises:
             MissionError: it cannot be read, or a field is unknown or of the wrong type.
         """
-        try:
-            values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise MissionError(f"cannot read {path}: {reason}") from None
-        kinds = {field.name: field.type for field in fields(cls)}
-        for name, value in values.items():
-            if name not in kinds:
-                names = ", ".join(kinds)
-                raise MissionError(f"{path} has an unknown field {name!r}; known are {names}")
-            if not _fits(value, kinds[name]):
-                raise MissionError(f"{name} in {path} must be {_WORDS[kinds[name]]}")
-        return cls(**values)
-
-
-def _fits(value: object, kind: Any) -> bool:  # noqa: ANN401  # an annotation
-    if kind is float:
-        return type(value) in (int, float)
-    if kind in (str, bool, Any):
-        return kind is Any or type(value) is kind
-    item = get_args(kind)[1]
-    return isinstance(value, dict) and all(_fits(entry, item) for entry in value.values())
+        return from_table(cls, read_toml(Path(path)), str(path))
 
 
 @dataclass(eq=False)

@@ -6,9 +6,9 @@
 
 Groot2 asks, over ZeroMQ on TCP port 1667, for the tree as XML, the statuses of its nodes and its
 blackboards. The protocol has no token, so it is served on this machine only; from elsewhere, use
-`ssh -L 1667:127.0.0.1:1667 -L 1668:127.0.0.1:1668 ROBOT`. Requests that would change how the tree
-runs (breakpoints, replaced nodes) are refused. So are recordings of transitions; use `rosa run
---record` or `--report` instead.
+`ssh -L 1667:127.0.0.1:1667 ROBOT`. Requests that would change how the tree runs (breakpoints,
+replaced nodes) are refused. So are recordings of transitions; use `rosa run --record` or `--report`
+instead.
 """
 
 import struct
@@ -31,14 +31,14 @@ _PROTOCOL: Final = 2
 _HEAD: Final = struct.Struct("<BBI")
 """The head of a request: protocol, letter of its kind, number."""
 _STATUS: Final = struct.Struct("<HB")
-_LARGEST_REQUEST: Final = 2**16
 _IDLE, _SKIPPED, _WAS = 0, 4, 10
 """The code of an idle node is 10 + the status that it had before, or 0 if it never had one."""
 _CODES: Final = {Status.RUNNING: 1, Status.SUCCESS: 2, Status.FAILURE: 3}
 _LOOK_MS: Final = 100
-_NO_HOOKS: Final = "breakpoints and replaced nodes are not accepted here"
-_NO_RECORD: Final = "transitions are not recorded here: `rosa run --record FILE.mcap` does it"
-_REFUSED: Final = {**dict.fromkeys("IRUAX", _NO_HOOKS), **dict.fromkeys("rt", _NO_RECORD)}
+_REFUSED: Final = (
+    "served are only T, S, B and D of protocol 2: breakpoints and replaced nodes are not accepted, "
+    "and `rosa run --record FILE.mcap` records transitions"
+)
 
 
 class _Present(NamedTuple):
@@ -57,11 +57,10 @@ class Groot2Publisher(VisitorBase):
     the tick.
 
     Args:
-        port: TCP port on 127.0.0.1; the next port is used too, as clients listen there for
-            breakpoints.
+        port: TCP port on 127.0.0.1.
 
     Raises:
-        MissionError: a port is taken, or the extra `groot2` is missing.
+        MissionError: the port is taken, or the extra `groot2` is missing.
     """
 
     def __init__(self, tree: BehaviourTree, port: int = PORT) -> None:
@@ -77,14 +76,11 @@ class Groot2Publisher(VisitorBase):
         self._context.setsockopt(zmq.LINGER, 0)
         try:
             self._socket = self._context.socket(zmq.REP)
-            self._socket.setsockopt(zmq.MAXMSGSIZE, _LARGEST_REQUEST)
             self._socket.bind(f"tcp://127.0.0.1:{port}")
-            self._notices = self._context.socket(zmq.PUB)
-            self._notices.bind(f"tcp://127.0.0.1:{port + 1}")
         except zmq.ZMQError as error:
             self._context.destroy()
-            ports = f"needs the TCP ports {port} and {port + 1} of this machine"
-            raise MissionError(f"Groot2's wire {ports}: {error}; give another port") from None
+            problem = f"Groot2's wire needs the TCP port {port} of this machine: {error}"
+            raise MissionError(f"{problem}; give another port") from None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="groot2", daemon=True)
         self._thread.start()
@@ -92,8 +88,7 @@ class Groot2Publisher(VisitorBase):
 
     def close(self) -> None:
         """Stop publishing, and free the ports."""
-        if self in self._tree.visitors:
-            self._tree.visitors.remove(self)
+        self._tree.visitors.remove(self)
         self._closing.set()
         self._thread.join()
 
@@ -144,13 +139,12 @@ class Groot2Publisher(VisitorBase):
             numbers = present.tree.numbers.items()
             answer = b"".join(_STATUS.pack(number, present.codes[node]) for node, number in numbers)
         elif kind == "B":
-            answer = self._pack(_boards(present.tree, argument.decode(errors="replace").split(";")))
+            boards = _boards(present.tree, argument.decode(errors="replace").split(";"))
+            answer = self._pack(boards, default=repr)  # a large number has a text, too
         elif kind == "D":
             answer = b"[]"
         else:
-            wrong = f"a request begins with 6 bytes: {_PROTOCOL}, a letter and a number of 4 bytes"
-            unknown = f"unknown request {kind!r}; served are T S B D" if kind else wrong
-            return [b"error", _REFUSED.get(kind, unknown).encode()]
+            return [b"error", _REFUSED.encode()]
         return [head + present.identity, answer]
 
 
@@ -162,11 +156,5 @@ def _boards(tree: NumberedTree, names: Sequence[str]) -> dict[str, dict[str, Any
         subtree = tree.subtrees[name]
         board = Blackboard.storage if subtree is None else subtree.blackboard
         entries = list(board.items())  # a tick may write meanwhile
-        boards[name] = {key.lstrip("/"): _shown(value) for key, value in entries}
+        boards[name] = {key.lstrip("/"): value for key, value in entries}
     return boards
-
-
-def _shown(value: object) -> object:
-    """Return a value as the wire can hold it, with integers of 64 bits, or as text."""
-    is_plain = isinstance(value, int) and value.bit_length() < 64
-    return value if is_plain or isinstance(value, float | str) else repr(value)

@@ -7,14 +7,12 @@ import json
 import logging
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
-from functools import partial
 from operator import itemgetter
 from os.path import exists, isdir
 from pathlib import Path
-from queue import SimpleQueue
-from threading import Thread
 from typing import Any, BinaryIO, Final, NamedTuple
 
 from py_trees.common import Status
@@ -42,11 +40,7 @@ _COMMANDS: Final = {
     "configure": "set_parameters",
 }
 """The command to a component, by the operation of an attempt."""
-_LARGEST_RECORD: Final = 2**30
-"""The largest record of an MCAP file [bytes]."""
 _CHUNK_BYTES: Final = 2**16
-WAITING: Final = 100_000
-"""How many messages may wait to be written; with more, the recording ends."""
 PATIENCE_S: Final = 60.0
 """How long the queued messages may take to be written when a file is closed [s]."""
 _LOGGED: Final = (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)
@@ -97,8 +91,7 @@ class McapFile:
     """An MCAP file that grows with each message; if it is cut off, it can be read up to there.
 
     `close` rewrites it in chunks with an index. A thread of its own encodes and writes, so a disk
-    that is slow or hangs holds up nobody; nothing more is recorded once 100,000 messages wait for
-    it.
+    that is slow or hangs holds up nobody.
 
     Args:
         path: of the file; an existing file is replaced.
@@ -116,17 +109,13 @@ class McapFile:
             import mcap.writer  # noqa: F401  # fails before an existing file is emptied
         ros.types()  # so does this, without `rosbags`
         try:
-            if self.path.exists() and not self.path.is_file():
-                raise OSError("it is not a file; name a file, or a new one")
             self._file = self.path.open("wb")
         except (OSError, ValueError) as error:
             raise self._unwritten(error) from error
         self._records = _Records(self._file, use_chunking=False)
         self.refused = Refusals()
         self._error: Exception | None = None
-        self._queue: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
-        self._thread = Thread(target=self._write_all, name="mcap", daemon=True)
-        self._thread.start()
+        self._thread = ThreadPoolExecutor(1, "mcap")
 
     def write(
         self,
@@ -137,16 +126,7 @@ class McapFile:
         *arguments: Any,  # noqa: ANN401  # the arguments of make
     ) -> None:
         """Queue a message at a time [s]: the thread writes what `make(*arguments)` returns."""
-        if self.waiting < WAITING:
-            self._queue.put(partial(self._write, topic, kind, time_s, partial(make, *arguments)))
-        elif self._error is None:
-            waiting = f"{self.waiting} messages wait to be written"
-            self._give_up(OSError(f"the disk does not keep up, {waiting}"))
-
-    @property
-    def waiting(self) -> int:
-        """How many messages wait to be written."""
-        return self._queue.qsize()
+        self._thread.submit(self._write, topic, kind, time_s, make, *arguments)
 
     def close(self) -> None:
         """Write the queued messages, and rewrite the file in chunks with an index.
@@ -154,47 +134,45 @@ class McapFile:
         Raises:
             MissionError: a message could not be written; the file holds those before it.
         """
-        self._queue.put(None)
-        self._thread.join(PATIENCE_S)
         try:
-            if self._thread.is_alive():
-                raise self._error or OSError("the disk does not answer")
-            if self._file.closed:
-                return
-            with self._file:
-                if self._error is not None:
-                    raise self._error
-                self._records.finish()
+            self._thread.submit(self._finish).result(PATIENCE_S)
             with draft(self.path) as part:
-                write_in_chunks(part, mcap_messages(self.path, Counter()))
+                write_in_chunks(part, _mcap_messages(self.path, Counter()))
                 part.replace(self.path)
+        except TimeoutError:
+            raise self._unwritten(OSError("the disk does not answer")) from None
         except Exception as error:  # of the disk or of the library
             raise self._unwritten(error) from error
+        finally:
+            self._thread.shutdown(wait=False)
 
-    def _write_all(self) -> None:
-        for write in iter(self._queue.get, None):
-            if self._error is None:
-                write()
+    def _finish(self) -> None:
+        with self._file:
+            if self._error is not None:
+                raise self._error
+            self._records.finish()
 
     def _write(
-        self, topic: str, kind: str, time_s: float, make: Callable[[], dict[str, Any]]
+        self,
+        topic: str,
+        kind: str,
+        time_s: float,
+        make: Callable[..., dict[str, Any]],
+        *arguments: Any,  # noqa: ANN401  # the arguments of make
     ) -> None:
+        if self._error is not None:
+            return
         try:
-            data = ros.types().encode(kind, make())
+            data = ros.types().encode(kind, make(*arguments))
         except Exception as error:  # what was malformed is left out, all others are written
             self.refused.add(f"{topic}: {type(error).__name__}: {error}")
             return
         try:
             self._records.add(Raw(topic, kind, "", ros.nanoseconds(time_s), data))
-            if self._queue.empty():
-                self._file.flush()
+            self._file.flush()
         except Exception as error:  # the mission goes on
-            self._give_up(error)
-
-    def _give_up(self, error: Exception) -> None:
-        """Record nothing more; the error is reported when the file is closed."""
-        self._error = error
-        _log.warning("%s is recorded no further: %s", self.path, error)
+            self._error = error
+            _log.warning("%s is recorded no further: %s", self.path, error)
 
     def _unwritten(self, error: Exception) -> MissionError:
         reason = getattr(error, "strerror", None) or error
@@ -366,7 +344,6 @@ def read_bag(path: str | Path) -> Bag:
     bag = Bag()
     counts = Counter[tuple[str, str]]()
     diagnostics: list[tuple[int, list[dict[str, Any]]]] = []
-    exact: dict[int, float] = {}  # times before they were rounded to nanoseconds
     for raw in messages(path, bag):
         counts[raw.topic, raw.kind] += 1
         try:
@@ -375,38 +352,29 @@ def read_bag(path: str | Path) -> Bag:
                 diagnostics.append((raw.stamp, ros.plain_statuses(array)))
             elif raw.topic in (EVENTS, ROWS, RUN):
                 content = json.loads(ros.types().decode(ros.STRING, raw.data)["data"])
-                time_s = _add(bag, raw.topic, content, path)
-                exact.setdefault(raw.stamp, time_s)
-        except MissionError:
-            raise
+                _add(bag, raw.topic, content)
         except Exception as error:  # a malformed or damaged message may raise anything
             bag.problems[f"{raw.topic}: {type(error).__name__}: {error}"] += 1
+    if bag.run.get("rosa", VERSION) != VERSION:
+        reads = f"this program reads version {VERSION}"
+        raise MissionError(f"{path} is a recording of version {bag.run['rosa']!r}; {reads}")
     bag.topics = {topic: (kind, number) for (topic, kind), number in counts.items()}
     diagnostics.sort(key=itemgetter(0))
     start = 0 if bag.run or not diagnostics else diagnostics[0][0]
-    for stamp, statuses in diagnostics:
-        bag.messages.append({"time": exact.get(stamp, (stamp - start) / 1e9), "status": statuses})
+    bag.messages = [
+        {"time": (stamp - start) / 1e9, "status": statuses} for stamp, statuses in diagnostics
+    ]
     return bag
 
 
-def _add(bag: Bag, topic: str, content: Any, path: str | Path) -> float:  # noqa: ANN401  # what JSON holds
-    """Add a message of one of our own topics, and return its time [s]."""
+def _add(bag: Bag, topic: str, content: Any) -> None:  # noqa: ANN401  # what JSON holds
+    """Add a message of one of our own topics."""
     if topic == EVENTS:
-        event = Event.from_json(content)
-        bag.events.append(event)
-        return event.time
-    if topic == ROWS:
+        bag.events.append(Event.from_json(content))
+    elif topic == ROWS:
         bag.rows.append((bag.events[-1].number if bag.events else 0, content))
-        return float(content[0])
-    version = content.get("rosa") if isinstance(content, dict) else content
-    if version != VERSION:
-        reads = f"this program reads version {VERSION}"
-        raise MissionError(f"{path} is a recording of version {version!r}; {reads}")
-    missing = sorted({"model", "elements", "page"} - content.keys())
-    if missing:
-        raise MissionError(f"{path} is damaged: its header lacks {', '.join(missing)}")
-    bag.run = content
-    return 0.0
+    else:
+        bag.run = content
 
 
 def read_page(path: str | Path) -> Recorded:
@@ -421,7 +389,7 @@ def read_page(path: str | Path) -> Recorded:
         advice = f"rosa replay {path} --mission NAME --report FILE.html shows it"
         raise MissionError(f"{path} is not rosa's own; {advice}")
     now = [0.0]
-    kb = KnowledgeBase(recorded_model(bag), clock=lambda: now[0])
+    kb = KnowledgeBase(Model.from_plain(bag.run["elements"]), clock=lambda: now[0])
     recorder = Recorder(kb, header=bag.run["page"])
     rows = deque(bag.rows)
     for event in [*bag.events, None]:
@@ -437,81 +405,52 @@ def read_page(path: str | Path) -> Recorded:
     return replace(recorder.recorded, note=note)
 
 
-def recorded_model(bag: Bag) -> Model:
-    """Return the model of one of our recordings; kb.ModelError if it cannot be read any more."""
-    return Model.from_plain(bag.run["elements"])
-
-
-def mcap_messages(path: Path, problems: Counter[str]) -> Iterator[Raw]:
-    """Yield the messages of an MCAP file from its first byte on, without the index.
-
-    Counts problems after which it can go on; raises what the library and its compression raise.
-    """
-    from mcap import records
-    from mcap.stream_reader import StreamReader
-
-    schemas: dict[int, tuple[str, str]] = {}
-    channels: dict[int, tuple[str, str, str]] = {}
-    with path.open("rb") as file:
-        reader = StreamReader(file, validate_crcs=True, record_size_limit=_LARGEST_RECORD)
-        for record in reader.records:
-            if isinstance(record, records.Schema):
-                schemas[record.id] = record.name, record.data.decode()
-            elif isinstance(record, records.Channel):
-                channels[record.id] = (record.topic, *schemas.get(record.schema_id, ("", "")))
-                encoding = record.message_encoding
-                if encoding != "cdr":
-                    problems[f"{record.topic} is encoded as {encoding}, not as cdr"] += 1
-            elif isinstance(record, records.Message):
-                yield Raw(*channels[record.channel_id], record.log_time, record.data)
-
-
-def _rosbag2(path: Path) -> Iterator[Raw]:
-    from rosbags.highlevel import AnyReader
-
-    with AnyReader([path], default_typestore=ros.types().store) as reader:
-        for connection, stamp, data in reader.messages():
-            definition = connection.msgdef.data
-            yield Raw(connection.topic, connection.msgtype, definition, stamp, data)
-
-
 def messages(path: str | Path, bag: Bag) -> Iterator[Raw]:
     """Yield the messages of a recording in order; set `bag.cut` if it is cut off or damaged.
 
     Raises:
         MissionError: it does not exist, nothing of it can be read, or the extra `mcap` is missing.
     """
-    place = Path(path)
     if not exists(path):  # noqa: PTH110  # False for an impossible name, where Path raises
         names = "name a file .mcap or .db3, or the folder of a rosbag2"
         raise MissionError(f"there is no recording {path}; {names}")
     if not is_bag(path):
         problem = "is no recording (.mcap, .db3, or the folder of a rosbag2)"
-        if place.suffix == ".jsonl":
-            problem = "holds what was heard only, for `rosa replay` and tests"
-        advice = "`rosa run MISSION --record FILE.mcap` also keeps what was decided"
+        advice = "`rosa run MISSION --record FILE.mcap` makes one"
         raise MissionError(f"{path} {problem}; {advice}")
     ros.types()  # a missing library is not a fault of the recording
+    place = Path(path)
+    is_mcap = place.suffix == ".mcap"
     is_any = False
-    for file, source in _sources(place, bag):
-        try:
-            for raw in source:
-                is_any = True
-                yield raw
-        except Exception as error:  # each library and compression has its own kinds
-            reason = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(": ")
-            bag.cut = f"{file.name} is cut off or damaged ({reason})"
-        if file is place and (is_any or not bag.cut):
-            return
-    if not is_any:
-        raise MissionError(f"cannot read the recording {place}: {bag.cut}")
+    try:
+        for raw in _mcap_messages(place, bag.problems) if is_mcap else _rosbag2_messages(place):
+            is_any = True
+            yield raw
+    except Exception as error:  # each library and compression has its own kinds
+        reason = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(": ")
+        bag.cut = f"{place.name} is cut off or damaged ({reason})"
+        if not is_any:
+            raise MissionError(f"cannot read the recording {place}: {bag.cut}") from error
 
 
-def _sources(place: Path, bag: Bag) -> Iterator[tuple[Path, Iterator[Raw]]]:
-    """Yield paths with their messages: a rosbag2 as a whole, then file by file."""
-    if place.suffix == ".mcap":
-        yield place, mcap_messages(place, bag.problems)
-        return
-    yield place, _rosbag2(place)
-    for file in sorted(place.glob("*.mcap"), key=lambda file: (len(file.name), file)):
-        yield file, mcap_messages(file, bag.problems)
+def _mcap_messages(path: Path, problems: Counter[str]) -> Iterator[Raw]:
+    """Yield the messages of an MCAP file from its first byte on, without the index."""
+    from mcap.reader import NonSeekingReader
+
+    with path.open("rb") as file:
+        reader = NonSeekingReader(file, validate_crcs=True)
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            if schema is None or channel.message_encoding != "cdr":
+                problems[f"{channel.topic} is encoded as {channel.message_encoding}, not cdr"] += 1
+                continue
+            definition = schema.data.decode()
+            yield Raw(channel.topic, schema.name, definition, message.log_time, message.data)
+
+
+def _rosbag2_messages(path: Path) -> Iterator[Raw]:
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([path], default_typestore=ros.types().store) as reader:
+        for connection, stamp, data in reader.messages():
+            definition = connection.msgdef.data
+            yield Raw(connection.topic, connection.msgtype, definition, stamp, data)

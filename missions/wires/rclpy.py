@@ -27,8 +27,8 @@ from missions.wires.ros import Field, Library, to_message
 
 _LOOK_S: Final = 0.2
 """The period of looking which other nodes are there [s]."""
-_TYPE: Final = re.compile(r"(sequence<)?([\w/]+)(?:<\d+>)?(?:, \d+)?>?(?:\[(\d+)\])?")
-"""A field's type as rclpy writes it: `sequence<double, 3>`, `string<10>`, `double[36]`."""
+_TYPE: Final = re.compile(r"(?:sequence<)?([\w/]+)")
+"""Begins a field's type as rclpy writes it: `sequence<double, 3>`, `string<10>`, `double[36]`."""
 _NAMES: Final = {
     "boolean": "bool",
     "octet": "byte",
@@ -64,14 +64,9 @@ class Messages(Library):
 
 
 def _field(text: str) -> Field:
-    match = _TYPE.fullmatch(text)
-    if match is None:
-        raise RosError(f"the type {text!r} of a field is not known")
-    sequence, name, size = match.groups()
+    name = _TYPE.match(text)[1]  # type: ignore[index]  # it always matches
     kind = name.replace("/", "/msg/") if "/" in name else _NAMES.get(name, name)
-    if sequence:
-        return Field(kind, 0)
-    return Field(kind, int(size) if size else None)
+    return Field(kind, is_list=text.startswith("sequence<") or text.endswith("]"))
 
 
 @dataclass(eq=False)
@@ -269,17 +264,14 @@ class RclpyNode(Node):
             self._report(is_published, f"rclpy: {presence}")
 
     def _send_call(self, call: Call) -> None:
-        """Send a call once its service is there; fail it when the service is gone."""
+        """Send a call, once, when its service is there."""
         with self._lock:
             client, request = call.details
-            is_ready = client.service_is_ready()
-            if is_ready:
-                call.details = client, None
-        if is_ready and request is not None:
-            call.overdue = f"{call.service} has not answered in time"
-            client.call_async(request).add_done_callback(partial(self._on_answer, call))
-        elif not is_ready and request is None:
-            self._end_call(call, RosError(f"the server of {call.service} is gone"))
+            if request is None or not client.service_is_ready():
+                return
+            call.details = client, None
+        call.overdue = f"{call.service} has not answered in time"
+        client.call_async(request).add_done_callback(partial(self._on_answer, call))
 
     def _on_answer(self, call: Call, future: Any) -> None:  # noqa: ANN401  # an object of rclpy
         if future.exception() is not None:

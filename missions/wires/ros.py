@@ -44,10 +44,10 @@ _UPRIGHT: Final = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
 
 class Field(NamedTuple):
-    """A field's type; `length` is None for one value, 0 for a sequence, else the size."""
+    """A field's type, and whether it holds a list of it."""
 
     kind: str
-    length: int | None = None
+    is_list: bool = False
 
 
 class Library(ABC):
@@ -65,7 +65,7 @@ class Library(ABC):
 
     @abstractmethod
     def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # an object of the library
-        """Return a message with these values; all other fields are zero or empty."""
+        """Return a message with these values."""
 
     def fields(self, kind: str) -> dict[str, Field]:
         if kind not in self._fields:
@@ -88,11 +88,10 @@ class Library(ABC):
             names = ", ".join(fields)
             raise RosError(f"{message!r:.60} is no {kind} of {names}: {error}") from None
 
-    def _to_value(self, kind: str, length: int | None, value: Any) -> Any:  # noqa: ANN401  # of a field
-        if length is not None:
-            if isinstance(value, str) and kind in ("uint8", "byte"):
-                value = b64decode(value)
-            return [self._to_value(kind, None, item) for item in value]
+    def _to_value(self, kind: str, is_list: bool, value: Any) -> Any:  # noqa: ANN401  # of a field
+        if is_list:
+            items = b64decode(value) if isinstance(value, str) else value
+            return [self._to_value(kind, False, item) for item in items]
         if "/" in kind:
             return self.to_object(kind, value)
         if kind in ("float32", "float64"):
@@ -132,18 +131,7 @@ class Types(Library):
         return {name: _field(*field) for name, field in fields if name != NOTHING}
 
     def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # of a class that is made
-        whole = {
-            name: values[name] if name in values else self._empty(*field)
-            for name, field in self.fields(kind).items()
-        }
-        return self.store.types[kind](**whole or {NOTHING: 0})
-
-    def _empty(self, kind: str, length: int | None) -> Any:  # noqa: ANN401  # of whatever type
-        if length is not None:
-            return [self._empty(kind, None) for _ in range(length)]
-        if "/" in kind:
-            return self.new(kind, {})
-        return "" if kind == "string" else 0
+        return self.store.types[kind](**values or {NOTHING: 0})
 
     def definition(self, kind: str) -> str:
         """Return the text that defines a type and the types in it, as recordings hold it."""
@@ -159,7 +147,7 @@ class Types(Library):
 
 def _field(node: Any, what: Any) -> Field:  # noqa: ANN401  # as `rosbags` has it
     if node.name in ("ARRAY", "SEQUENCE"):
-        return Field(_field(*what[0]).kind, what[1] if node.name == "ARRAY" else 0)
+        return Field(_field(*what[0]).kind, is_list=True)
     return Field(what if node.name == "NAME" else what[0])
 
 
@@ -230,14 +218,18 @@ def diagnostics(time_s: float, array: Any) -> Message:  # noqa: ANN401  # in any
         array = to_message(array)
     statuses = []
     for status in array["status"]:
-        pairs = status["values"]
-        if not isinstance(pairs, Mapping):
-            pairs = {pair["key"]: pair["value"] for pair in pairs}
-        values = [{"key": str(key), "value": str(value)} for key, value in pairs.items()]
-        texts = {key: str(status.get(key, "")) for key in ("name", "hardware_id")}
-        message = str(status["message"])
-        level = status.get("level", 0)
-        statuses.append({"level": level, **texts, "message": message, "values": values})
+        values = status["values"]
+        if not isinstance(values, Mapping):
+            values = {pair["key"]: pair["value"] for pair in values}
+        statuses.append(
+            {
+                "level": status.get("level", 0),
+                "name": str(status.get("name", "")),
+                "message": str(status["message"]),
+                "hardware_id": str(status.get("hardware_id", "")),
+                "values": [{"key": str(key), "value": str(values[key])} for key in values],
+            }
+        )
     return {"header": _header(time_s, ""), "status": statuses}
 
 

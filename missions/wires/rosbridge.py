@@ -102,18 +102,14 @@ class Connection:
         return ""
 
     def close(self) -> None:
-        """Send the queued messages for at most a second, then close for good."""
+        """Send the queued messages for at most a second, then end for good."""
         with self._news:
             self._is_closed = True
             self._news.notify_all()
             self._news.wait_for(lambda: not self.queue or self._socket is None, _FLUSH_S)
-            socket = self._socket
-        if socket is None:
-            return
-        with suppress(Exception):  # it may be gone
-            if self.queue:  # the other side does not read, so it would not answer the closing
-                socket.socket.shutdown(SHUT_RDWR)
-            socket.close()
+            if self._socket is not None:
+                with suppress(OSError):  # it may be gone
+                    self._socket.socket.shutdown(SHUT_RDWR)  # a peer may not read, nor answer
 
     def _write(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
         while True:
@@ -150,8 +146,16 @@ class BridgedGoal(Goal):
         self._candidates = set[str]()
         self._first_s = self._ended_s = math.inf
         self.connection = node.connection(self._hear)
-        request = {"op": "send_action_goal", "id": self._id, "action": action}
-        self.connection.send({**request, "action_type": kind, "args": goal, "feedback": True})
+        self.connection.send(
+            {
+                "op": "send_action_goal",
+                "id": self._id,
+                "action": action,
+                "action_type": kind,
+                "args": goal,
+                "feedback": True,
+            }
+        )
 
     def start(self) -> None:
         """Send the goal, once the node shows it the status topic."""
@@ -185,11 +189,11 @@ class BridgedGoal(Goal):
         if message["op"] == "action_feedback":
             self.feedback = message["values"]
             self._progress(2)
-        elif message["op"] == "action_result" and message.get("result"):
+        elif message["result"]:
             self.result = message["values"]
             self._progress(int(message["status"]))
-        elif message["op"] == "action_result":
-            self.error = f"{self.action} cannot be asked so: {message.get('values')}"
+        else:
+            self.error = f"{self.action} cannot be asked so: {message['values']}"
 
     def _lose(self, reason: str) -> None:
         if not self.is_over:
@@ -262,8 +266,9 @@ class Rosbridge(Node):
             lane = self.lane(service.rpartition("/")[0])
             call = self._open_call(service, timeout_s, lane)
         call.reply.add_done_callback(partial(self._close_blocked, call))
-        message = {"op": "call_service", "id": call.id, "service": service}
-        lane.send({**message, "type": kind, "args": request})
+        lane.send(
+            {"op": "call_service", "id": call.id, "service": service, "type": kind, "args": request}
+        )
         return call.reply
 
     def serve(self, service: str, kind: str, answer: Answer) -> None:
@@ -291,7 +296,7 @@ class Rosbridge(Node):
 
         def hear(text: str | bytes) -> None:
             try:
-                on_message(_read(text))
+                on_message(json.loads(text))
             except Exception as error:  # of the other side, or our own, which must not end it
                 self.refused.add(error)
 
@@ -359,7 +364,7 @@ class Rosbridge(Node):
                 self._hand_on(message.get("msg", {}), hearer)
         elif message["op"] == "service_response":
             call = self._calls[message["id"]]
-            values = message.get("values")
+            values = message["values"]
             if message.get("result", True) and isinstance(values, dict):
                 self._end_call(call, values)
             else:
@@ -385,12 +390,3 @@ class Rosbridge(Node):
         for goal in self._goals[action]:
             goal.see(live, live - self._live.get(action, set()))
         self._live[action] = live
-
-
-def _read(text: str | bytes) -> Message:
-    if isinstance(text, bytes):
-        raise ValueError("binary messages are not accepted; send JSON (compression none)")
-    message = json.loads(text)
-    if not isinstance(message, dict) or not isinstance(message.get("op"), str):
-        raise ValueError('a message must be an object with a text "op"')
-    return message

@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any, Final
 
 from kb import KnowledgeBase, ReconfigurationPlan
-from kb.records import Process
 from missions.wires import ros
 from missions.wires.node import Answer, Message, Node, RosError
 
@@ -31,7 +30,7 @@ class RosaServices:
     """Serves ROSA's services under `/rosa_kb/` from a knowledge base.
 
     Services, types and fields have the original's names; times are ISO 8601, by the knowledge
-    base's clock. Its services that insert elements, or query in TypeQL, are not there.
+    base's clock. Its services that insert elements or processes, or query in TypeQL, are not there.
     """
 
     def __init__(self, kb: KnowledgeBase, node: Node) -> None:
@@ -64,9 +63,6 @@ class RosaServices:
         ):
             yield f"{place}/selectable", f"Selectable{kind}s", self._selectable
             yield f"{place}/priority", f"Get{kind}Priority", partial(self._named, field)
-        yield "component_process/insert", "ComponentProcessQuery", self._start_process
-        yield "component_process/end/set", "ComponentProcessQuery", self._end_process
-        yield "component_process/get_active", "ComponentProcessQueryArray", self._processes
         yield "select_configuration", "SelectedConfigurations", self._select
         plan = "ReconfigurationPlanQuery"
         yield "reconfiguration_plan/get", plan, lambda request: self._plan(self._find_plan(request))
@@ -135,8 +131,7 @@ class RosaServices:
         for plan in reversed(self._kb.plans):
             if _iso(plan.start) == start:
                 return plan
-        latest = ", ".join(_iso(plan.start) for plan in self._kb.plans[-3:]) or "none"
-        raise RosError(f"no reconfiguration plan has start_time {start!r}; the latest: {latest}")
+        raise RosError(f"no reconfiguration plan has start_time {start!r}")
 
     def _set_active(self, request: Message) -> Message:
         component = request["component"]
@@ -147,20 +142,6 @@ class RosaServices:
         view = self._kb.configurations[request["c_config"]["name"]]
         component = self._element("component", view.component)
         return {"component": component, "parameters": parameter_messages(view.parameters)}
-
-    def _start_process(self, request: Message) -> Message:
-        process = request["component_process"]
-        started = self._kb.component_started(process["component"]["name"], process["pid"])
-        return {"component_process": self._process(started)}
-
-    def _end_process(self, request: Message) -> Message:
-        process = request["component_process"]
-        self._kb.component_ended(process["component"]["name"], process["pid"] or None)
-        return request
-
-    def _processes(self, _: Message) -> Message:
-        active = [process for process in self._kb.history.processes if process.end is None]
-        return {"component_process": [self._process(process) for process in active]}
 
     def _get(self, kind: str, request: Message) -> Message:
         return {kind: self._element(kind, request[kind]["name"])}
@@ -192,22 +173,14 @@ class RosaServices:
         if plan is None:
             raise RosError("there is no reconfiguration plan yet")
         message = {
-            **_span(plan),
+            "start_time": _iso(plan.start),
+            "end_time": "" if plan.end is None else _iso(plan.end),
             "result": plan.result or "",
             **self._list("components_activate", plan.activate),
             **self._list("components_deactivate", plan.deactivate),
             **self._list("component_configurations", plan.parameters),
         }
         return {"reconfig_plan": message}
-
-    def _process(self, process: Process) -> Message:
-        component = self._element("component", process.component)
-        return {"pid": process.pid, **_span(process), "component": component}
-
-
-def _span(record: ReconfigurationPlan | Process) -> Message:
-    end = "" if record.end is None else _iso(record.end)
-    return {"start_time": _iso(record.start), "end_time": end}
 
 
 def _iso(time_s: float) -> str:

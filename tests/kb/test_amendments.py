@@ -169,7 +169,7 @@ def test_what_something_else_is_made_of_cannot_be_removed(kb):
     for element, user in (
         (model.components["camera"], "function design 'by camera'"),
         (model.functions["see"], "action 'explore'"),
-        (model.attributes["light"], "constraint light >= 0.5"),
+        (model.attributes["light"], "constraint 'light >= 0.5'"),
     ):
         with pytest.raises(ModelError, match=user):
             model.remove(element)

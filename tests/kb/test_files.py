@@ -153,7 +153,7 @@ SAVE = Model("rover").save
         (LOAD, "folder.owl", "this is a folder"),
         (LOAD, "long" * 100 + ".tql", "cannot be read"),
         (LOAD, "nul\0.tql", "cannot be read"),
-        (lambda _: Model.load([]), "", "no file is given"),
+        (lambda _: Model.load([]), "", "not from none"),
     ],
 )
 def test_path_that_cannot_be_used_is_an_error(act, name, message, tmp_path):

@@ -15,7 +15,7 @@ from kb import (
     Status,
     UnknownName,
 )
-from kb.elements import Configuration, Function, FunctionDesign
+from kb.elements import Configuration, FunctionDesign
 
 KINDS = ("attribute", "component", "configuration", "function", "function design", "action")
 CONSTRAINABLE = ("component", "configuration", "function design", "action")
@@ -99,7 +99,9 @@ REFUSED = {
         "light", 1.0, "negativ"
     ),
     "unknown field of configuration 'colour'": lambda m: m.declare(Configuration, "new", colour=1),
-    "configuration 'new' is not complete": lambda m: m.declare(Configuration, "new", parameters={}),
+    "this component configuration is not complete": lambda m: m.state(
+        Configuration, {"name": "new", "parameters": {}}
+    ),
     "belongs to model 'other'": lambda m: m.action("a", requires=[OTHER.functions["see"]]),
     "'explore' belongs to": lambda m: m.constrain(
         [OTHER.actions["explore"]], m.attributes["light"] >= 1
@@ -108,7 +110,6 @@ REFUSED = {
     "compares an attribute of 'other'": lambda m: m.actions["explore"].constrain(
         OTHER.attributes["light"] >= 1
     ),
-    "constrained can be one of": lambda m: m.declare(Function, "new", [m.attributes["light"] >= 1]),
     "constrained can be one of Action": lambda m: m.constrain(
         [m.functions["see"]], m.attributes["light"] >= 1
     ),

@@ -11,11 +11,13 @@ FILES = Path(__file__).with_name("typeql_files")
 EXPECTED = json.loads((FILES / "expected.json").read_text())
 ROBOT = """insert
 $a isa Action, has action-name 'go'; $f isa Function, has function-name 'move';
-$c isa Component, has component-name 'motor'; $d (function: $f, component: $c) isa function-design,
-has function-design-name 'by motor'; $q isa QualityAttribute, has attribute-name 'charge';
+$c isa Component, has component-name 'motor';
+$d (function: $f, required-component: $c) isa function-design, has function-design-name 'by motor';
+$q isa QualityAttribute, has attribute-name 'charge';
 """
 PARAMETER = "$p isa ComponentParameter, has parameter-key 'k', has parameter-value"
-CONFIGURATION = "(component: $c, parameter: $p) isa component-configuration, has name 'x';"
+CONFIGURATION = """(component: $c, parameter: $p) isa component-configuration,
+has component-configuration-name 'x';"""
 
 
 @pytest.fixture
@@ -35,12 +37,9 @@ def test_files_become_the_expected_models(names):
     assert json.loads(json.dumps(model.plain())) == EXPECTED[names]
 
 
-@pytest.mark.parametrize(
-    ("name", "place"), [("asserted", "20:28: this attribute has no name"), ("mobile_robot", "38:8")]
-)
-def test_odd_statement_of_a_file_is_noted(name, place):
-    (note,) = Model.load(FILES / f"{name}.tql", "other").notes
-    assert f"{name}.tql:{place}" in note
+def test_unknown_attribute_is_noted():
+    (note,) = Model.load(FILES / "mobile_robot.tql", "other").notes
+    assert "mobile_robot.tql:38:8: unknown attribute of function-design 'colour'" in note
 
 
 def test_loaded_model_answers():
@@ -50,79 +49,15 @@ def test_loaded_model_answers():
     assert kb.is_feasible("recharge")
 
 
-CONSTRAINT = ["constraint", {"attribute": "charge", "operator": "<", "value": 0.5}]
-ESTIMATION = {"attribute": "charge", "value": -3.0, "kind": "positive"}
-CAUSED = ["estimation", {**ESTIMATION, "causer": ["function design", "by motor"]}]
-MOTOR = {"name": "driver", "kind": "process"}
-ADDED = [
-    *(
-        (f"$c2 isa {label}, has component-name 'driver';", ["component", {**MOTOR, "kind": kind}])
-        for label, kind in (
-            *((label, "process") for label in ("ROSNode", "RosNode", "ros_node", "ros-node")),
-            *((label, "lifecycle") for label in ("LifeCycleNode", "lifecyclenode")),
-        )
-    ),
-    *(
-        (f"$q2 isa {label}, has name 'x';", ["attribute", {"name": "x"}])
-        for label in ("Attribute", "Measure", "measure", "quality_attribute")
-    ),
-    (
-        "$q2 isa EnvironmentAttribute, has name 'x';",
-        ["attribute", {"name": "x", "kind": "environmental"}],
-    ),
-    *(
-        (
-            f"{relation} isa constraint, has value 0.5, has operator '<';",
-            ["constraint", {**CONSTRAINT[1], "constrained": [["action", "go"]]}],
-        )
-        for relation in (
-            "(attribute: $q, constrained: $a)",
-            "(constraint: $q, constrained-element: $a)",
-            "(measured-attribute: $q, constrained-action: $a)",
-            "(constraining_attribute: $q, CONSTRAINED: $a)",
-            "(constraint:attribute: $q, constraint:constrained: $a)",
-            "(quality-attribute: $q, action: $a)",
-            "($q, constrained: $a)",
-            "($a, $q)",
-            "($role: $q, constrained: $a)",
-        )
-    ),
-    *(
-        (f"{relation} isa estimation, has estimation-value -3;", CAUSED)
-        for relation in (
-            "(causer: $d, affected: $q)",
-            "(impacting-element: $d, impacted-attribute: $q)",
-            "(source: $d, estimated-attribute: $q)",
-            "(function-design: $d, measure: $q)",
-            "(estimation: $q, estimation: $d)",
-            "(element: $q, element: $d)",
-        )
-    ),
-    (
-        "$g isa Function, has name 'see'; (actions: $a, required-functions: $f) isa "
-        "functional-requirement; (action: $a, function: $g) isa functional-requirement;",
-        ["action", {"name": "go", "functions": ["move", "see"]}],
-    ),
-    ("$c has pid 12;", ["component process", {"component": "motor", "pid": 12}]),
-]
-
-
-@pytest.mark.parametrize(("text", "row"), ADDED)
-def test_statement_in_any_spelling_becomes_its_row(load, text, row):
-    assert row in json.loads(json.dumps(load(ROBOT + text).plain()))
-
-
 @pytest.mark.parametrize(
     ("values", "latest"),
     [
-        (["1", "2"], [False, True]),
-        (["1, has time 2024-01-02", "2, has time 2024-01-01"], [True, False]),
+        (["1", "2"], [True, True]),
         (["1, has latest true", "2"], [True, False]),
         (["1", "2, has latest false"], [True, False]),
-        (["1, has latest false"], [False]),
     ],
 )
-def test_newest_measurement_is_the_latest_unless_the_file_says_which(load, values, latest):
+def test_measurement_is_the_latest_unless_another_is_stated_to_be(load, values, latest):
     relation = "(measured-attribute: $q) isa measurement, has measurement-value"
     facts = load(ROBOT + "".join(f"{relation} {value};" for value in values)).facts
     assert [fact.latest for fact in facts] == latest
@@ -132,18 +67,15 @@ def test_newest_measurement_is_the_latest_unless_the_file_says_which(load, value
     ("value", "label", "expected"),
     [
         ("'true'", "boolean", True),
-        ("false", "bool", False),
         ("'3'", "long", 3),
-        ("3.0", "integer", 3),
-        ("'1e3'", "PARAMETER_DOUBLE", 1000.0),
+        ("'1e3'", "double", 1000.0),
         ("3.5", "string", "3.5"),
         ("'[3.0, 5]'", "double_array", [3.0, 5.0]),
         ("'[]'", "long_array", []),
-        ("'[true, False]'", "bool-array", [True, False]),
+        ("'[true, False]'", "boolean_array", [True, False]),
         ("'[teste, teste2]'", "string_array", ["teste", "teste2"]),
         ("'[0.10, 0x10, True]'", "string_array", ["0.10", "0x10", "True"]),
-        ('"[\'a\', \\"b\\"]"', "string[]", ["a", "b"]),
-        ("'[\"a, b\"]'", "string_array", ["a, b"]),
+        ('"[\'a\', \\"b\\"]"', "string_array", ["a", "b"]),
         ("'3.0'", None, "3.0"),
         ("3.0", None, 3.0),
     ],
@@ -161,10 +93,7 @@ def test_parameter_is_read_as_its_type_says(load, value, label, expected):
         ("'a\"b'", 'a"b'),
         (r"'a\'b'", "a'b"),
         (r"'a\\n'", "a\\n"),
-        (r"'a\n'", "a\n"),
-        (r"'\d'", "\\d"),
         ("'two\nlines'", "two\nlines"),
-        (r"'\u00e9'", "é"),
         ("'# none'", "# none"),
     ],
 )
@@ -175,6 +104,5 @@ def test_text_is_read_with_its_escapes(load, written, meant):
 def test_match_finds_things_by_type_and_name(load):
     found = "match $c isa Component, has component-name 'motor'; insert $c has always-improve true;"
     assert load(ROBOT, found).components["motor"].always_improve
-    for pattern in ("$c isa Component", "$c has name 'motor'", "($c) isa function-design"):
-        with pytest.raises(ModelFileError, match="`match` finds things by type and name"):
-            load(ROBOT, f"match {pattern}; insert $c has always-improve true;")
+    with pytest.raises(ModelFileError, match="`match` finds nothing: unknown component 'moto'"):
+        load(ROBOT, found.replace("motor", "moto"))

@@ -2,7 +2,6 @@
 
 import socket
 import struct
-import sys
 from contextlib import contextmanager, suppress
 
 import msgpack
@@ -59,7 +58,7 @@ def watched(root):
     publisher = None
     while publisher is None:
         port = free_port()
-        with suppress(MissionError):  # that port or the next is taken
+        with suppress(MissionError):  # that port is taken
             publisher = Groot2Publisher(tree, port)
     client = Groot2Client(port=port, timeout_ms=120_000)
     try:
@@ -139,14 +138,9 @@ class Untold:
 @pytest.mark.parametrize(
     ("frames", "value", "words"),
     [
-        ([b""], 0, "begins with 6 bytes"),
-        ([b"\x01T\0\0\0\0"], 0, "begins with 6 bytes"),
-        ([head("Z")], 0, "unknown request 'Z'"),
+        ([b"\x01T\0\0\0\0"], 0, "of protocol 2"),
         ([head("I"), b"{}"], 0, "not accepted"),
-        ([head("r"), b"\xff" * 40], 0, "not recorded here"),
-        ([b"\x00" * 10_000, b"x" * 10_000], 0, "begins with 6 bytes"),
         ([head("B"), b""], Untold(), "that cannot be shown: ValueError: no text"),
-        ([head("B"), b""], "\ud800", "UnicodeEncodeError"),
     ],
 )
 def test_request_refused_is_told_and_the_next_is_answered(monkeypatch, frames, value, words):
@@ -166,24 +160,8 @@ def test_number_beyond_64_bits_is_shown_as_text(monkeypatch):
         assert board["huge"] == str(2**70)
 
 
-def test_message_without_end_is_cut_and_the_next_is_answered():
-    with watched(own_tree()) as (tree, client):
-        with zmq.Context() as context, context.socket(zmq.REQ) as request:
-            request.setsockopt(zmq.LINGER, 0)
-            request.connect(f"tcp://127.0.0.1:{client.port}")
-            request.send(b"x" * 10_000_000)
-        tree.tick()
-        assert statuses(client)["look"][0] is NodeStatus.FAILURE
-
-
 def test_port_taken_is_told():
     with watched(own_tree()) as (tree, client):
         port = client.port
-        with pytest.raises(MissionError, match=f"TCP ports {port} and"):
+        with pytest.raises(MissionError, match=f"TCP port {port} of"):
             Groot2Publisher(tree, port)
-
-
-def test_missing_extra_is_told(monkeypatch):
-    monkeypatch.setitem(sys.modules, "zmq", None)
-    with pytest.raises(MissionError, match=r"pip install 'rosa-taca\[groot2\]'"):
-        Groot2Publisher(BehaviourTree(own_tree()))

@@ -3,21 +3,15 @@
 import json
 import random
 import resource
-import sqlite3
-import sys
-import time
 from contextlib import suppress
 from pathlib import Path
-from struct import error as Torn
 from threading import Event
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from mcap.reader import make_reader
+from ros_rig import until
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from running import read_report
 from typer.testing import CliRunner
@@ -86,25 +80,8 @@ def robot_kb():
     return KnowledgeBase(model, clock=lambda: 0.0)
 
 
-TEXTS = st.dictionaries(st.text(), st.text(), max_size=3)
-STATUSES = st.fixed_dictionaries({"name": st.text(), "message": st.text(), "values": TEXTS})
-
-
-@given(st.lists(STATUSES, max_size=4))
-def test_diagnostics_encoded_are_decoded_as_they_were(statuses):
-    types = ros.types()
-    thing = types.to_object(ros.DIAGNOSTICS, ros.diagnostics(1.5, {"status": statuses}))
-    for little_endian in (True, False):
-        data = bytes(types.store.serialize_cdr(thing, ros.DIAGNOSTICS, little_endian=little_endian))
-        assert ros.plain_statuses(ros.types().decode(ros.DIAGNOSTICS, data)) == statuses
-    end = 20 if not statuses else len(data.rstrip(b"\0"))  # after it comes padding, if anything
-    for size in range(end):
-        with pytest.raises((SerdeError, ValueError, Torn)):
-            ros.plain_statuses(ros.types().decode(ros.DIAGNOSTICS, data[:size]))
-
-
 def test_recorder_takes_diagnostics_in_every_form(tmp_path):
-    array = {"header": {}, **ARRAY}
+    array = ros.diagnostics(0.0, ARRAY)
     data = ros.types().encode(ros.DIAGNOSTICS, array)
     thing = ros.types().to_object(ros.DIAGNOSTICS, array)
     with McapRecorder(tmp_path / "x.mcap", robot_kb()) as recorder:
@@ -187,7 +164,6 @@ def as_rosbag2(drop, folder, storage=StoragePlugin.MCAP, mode=None):
     ("storage", "mode"),
     [
         (StoragePlugin.MCAP, None),
-        (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
         (StoragePlugin.SQLITE3, CompressionMode.FILE),
     ],
 )
@@ -203,21 +179,6 @@ def test_rosbag2_of_anybody_is_decided_alike(drop, tmp_path, storage, mode):
     assert [start for _, start, *_ in now] == pytest.approx(times, abs=0.11), "but for a tick"
 
 
-def test_folder_whose_file_is_cut_off_is_read_up_to_there(drop, tmp_path):
-    folder = as_rosbag2(drop, tmp_path / "bag")
-    assert "--mission" in refused("replay", folder)
-    whole = read_bag(folder)
-    (file,) = folder.glob("*.mcap")
-    rosa("record", "convert", folder, tmp_path / "small_chunks.mcap")
-    data = (tmp_path / "small_chunks.mcap").read_bytes()
-    file.write_bytes(data[: len(data) * 3 // 4])
-    bag = read_bag(folder)
-    assert "is cut off" in bag.cut
-    assert len(bag.messages) > len(whole.messages) / 2
-    assert bag.messages == whole.messages[: len(bag.messages)]
-    assert "all before that is read" in rosa("replay", folder, "--mission", "suave_extended")
-
-
 # ------------------------------------------------------------ what is decided again
 
 
@@ -226,7 +187,8 @@ def test_folder_whose_file_is_cut_off_is_read_up_to_there(drop, tmp_path):
 )
 def test_replay_decides_as_recorded(mission, task, tmp_path):
     path = tmp_path / "run.mcap"
-    rosa("run", mission, "--task", task, "--no-progress", "--seed", 3, "--record", path)
+    options = ("--no-progress", "--seed", 3, "--set", "planning_delay_s=0.3", "--record", path)
+    rosa("run", mission, "--task", task, *options)
     assert "decided as recorded" in rosa("replay", path)
 
 
@@ -277,12 +239,9 @@ def test_replay_says_from_when_it_decides_otherwise(drop, tmp_path, monkeypatch)
     monkeypatch.syspath_prepend(tmp_path)
     text = rosa("replay", drop, "--mission", "suave_extended", "--task", "pddl", code=1)
     assert "decided otherwise from" in text
-    assert "which is another one" not in text
-    first, second, *_ = rosa("replay", drop, "--mission", "eager:MISSION", code=1).splitlines()
-    models = "recorded with the model suave_extended, decided with suave_extended"
-    assert first.startswith(f"{models}, which is another one")
-    assert "0.4" in second
-    assert second.endswith("is not in the store")
+    other = "it is decided with another model than the recorded one"
+    assert other not in text
+    assert other in rosa("replay", drop, "--mission", "eager:MISSION", code=1)
 
 
 def test_recording_of_an_own_mission_says_how_to_name_it(tmp_path):
@@ -332,52 +291,41 @@ def test_file_that_was_never_completed_holds_every_message(tmp_path):
 def test_converted_file_replaces_only_when_it_is_whole(drop, tmp_path):
     copy = tmp_path / "copy.mcap"
     nonsense = tmp_path / "nonsense.mcap"
-    copy.write_bytes(drop.read_bytes())
-    rosa("record", "convert", copy, copy)
-    assert read_bag(copy) == read_bag(drop)
-    kept = copy.read_bytes()
+    lines = tmp_path / "drop.jsonl"
     nonsense.write_text("no recording at all\n")
+    rosa("record", "convert", drop, copy)
     for source, target, words in (
         (nonsense, copy, "cannot read the recording"),
         (drop, tmp_path / "no" / "drop.mcap", "cannot write"),
-        (drop, tmp_path / "no" / "drop.jsonl", "cannot write"),
         (drop, tmp_path / "drop.bag", "neither .mcap nor .jsonl"),
     ):
         assert words in refused("record", "convert", source, target)
-    assert copy.read_bytes() == kept
-    assert {path.name for path in tmp_path.iterdir()} == {"copy.mcap", "nonsense.mcap"}
-    rosa("record", "convert", drop, tmp_path / "drop.jsonl")
-    lines = list(read_recording(tmp_path / "drop.jsonl"))[1:]
-    assert [line["time"] for line in lines] == [m["time"] for m in read_bag(drop).messages]
+    assert read_bag(copy) == read_bag(drop)
+    rosa("record", "convert", drop, lines)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "copy.mcap",
+        "nonsense.mcap",
+        "drop.jsonl",
+    }
+    times = [line["time"] for line in read_recording(lines)][1:]
+    assert times == [message["time"] for message in read_bag(drop).messages]
 
 
 def test_malformed_recording_gets_a_clear_word(drop, tmp_path):
-    data = drop.read_bytes()[:8]
     contents = {
         "empty.mcap": b"",
         "text.mcap": b"no recording at all\n",
-        "magic.mcap": data,
-        "zeros.mcap": data + bytes(5000),
-        "long.mcap": data + b"\x01" + b"\xff" * 8,
-        "noise.mcap": data + random.Random(3).randbytes(5000),
-        "empty.db3": b"",
+        "noise.mcap": drop.read_bytes()[:8] + random.Random(3).randbytes(5000),
         "text.db3": b"no database",
         "heard.jsonl": b'{"time": 0.0, "status": []}',
-        "nothing/x": b"",
         "wrong/metadata.yaml": b"rosbag2_bagfile_information: [1, 2",
-        "missing/metadata.yaml": b"rosbag2_bagfile_information: {version: 5}",
     }
     for name, content in contents.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(content)
-    sqlite3.connect(tmp_path / "other.db3").execute("create table cakes (name)").connection.close()
     for path in [*tmp_path.iterdir(), tmp_path / "nowhere.mcap"]:
-        with pytest.raises(MissionError) as error:
+        with pytest.raises(MissionError, match=rf"^[^\n]*{path.name}[^\n]*$"):
             read_bag(path)
-        text = str(error.value)
-        assert path.name in text
-        assert "\n" not in text
-        assert ("holds what was heard only" in text) is (path.suffix == ".jsonl")
 
 
 def test_recording_of_another_version_is_refused(tmp_path):
@@ -389,18 +337,8 @@ def test_recording_of_another_version_is_refused(tmp_path):
 # ------------------------------------------------------------ what cannot be written
 
 
-def test_file_stays_as_it_is_where_the_library_is_missing(tmp_path, monkeypatch):
-    kept = tmp_path / "kept.mcap"
-    kept.write_text("a recording")
-    monkeypatch.setitem(sys.modules, "mcap.writer", None)
-    with pytest.raises(MissionError, match=r"rosa-taca\[mcap\]"):
-        McapFile(kept)
-    assert kept.read_text() == "a recording"
-
-
-@pytest.mark.parametrize("place", ["no/folder.mcap", ".", "file/a.mcap", "a\0b", "a" * 300])
+@pytest.mark.parametrize("place", ["no/folder.mcap", ".", "a\0b"])
 def test_file_that_cannot_be_written_is_told(tmp_path, place):
-    (tmp_path / "file").touch()
     with pytest.raises(MissionError, match="cannot write"):
         McapFile(f"{tmp_path}/{place}")
 
@@ -420,23 +358,15 @@ def test_recording_without_room_holds_what_came_before(tmp_path):
     assert len(read_bag(tmp_path / "full.mcap").events) > 10
 
 
-@pytest.mark.parametrize(
-    ("count", "words"), [(1000, "does not keep up, 100 messages wait"), (1, "does not answer")]
-)
-def test_disk_that_hangs_holds_up_nobody(tmp_path, monkeypatch, count, words):
+def test_disk_that_hangs_holds_up_nobody(tmp_path, monkeypatch):
     answers = Event()
     add = mcap._Records.add
     monkeypatch.setattr(mcap._Records, "add", lambda *given: answers.wait(60) and add(*given))
-    monkeypatch.setattr(mcap, "WAITING", 100)
     monkeypatch.setattr(mcap, "PATIENCE_S", 0.05)
     file = McapFile(tmp_path / "hung.mcap")
-    for number in range(count):
+    for number in range(1000):
         file.write("/number", ros.FLOAT, float(number), dict, {"data": float(number)})
-        while number == 0 and file.waiting:
-            time.sleep(0.001)
-    with pytest.raises(MissionError, match=f"cannot write .*hung.mcap: the disk {words}"):
+    with pytest.raises(MissionError, match=r"cannot write .*hung.mcap: the disk does not answer"):
         file.close()
-    answers.set()  # what was being written is whole, and nothing comes after it
-    with suppress(MissionError):
-        file.close()
-    assert read_bag(tmp_path / "hung.mcap").topics == {"/number": (ros.FLOAT, 1)}
+    answers.set()
+    until(lambda: read_bag(tmp_path / "hung.mcap").topics == {"/number": (ros.FLOAT, 1000)})
