@@ -2,7 +2,6 @@
 
 import sys
 from importlib import import_module
-from itertools import pairwise
 from typing import Annotated, Any, Final
 
 import typer
@@ -74,11 +73,6 @@ class Commands(TyperGroup):
             group = typer.Typer(add_completion=False, rich_markup_mode=None)
             group.command(name)(command)
             command = group
-        for option, value in pairwise(rest):
-            if option == "--set" and "=" not in value:
-                from missions.engine.mission import MissionError
-
-                raise MissionError(f"--set takes NAME=VALUE, not {value!r}")
         return name, get_command(command), rest
 
 

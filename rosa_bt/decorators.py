@@ -15,9 +15,9 @@ from py_trees.common import Status
 from py_trees.decorators import Decorator
 
 from kb import KnowledgeBase
-from rosa_bt.behaviours import GuardedBehaviour, Ticking, halt
-from rosa_bt.exceptions import TreeChangeError, report
-from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS, ActionRequest, Requester
+from rosa_bt.behaviours import Requester, Ticking, guard
+from rosa_bt.exceptions import TreeChangeError
+from rosa_bt.requests import FAILURE, RUNNING, SUCCESS, ActionRequest
 
 Clock = Callable[[], float]
 """Gives the time [s]."""
@@ -25,7 +25,7 @@ ROUNDING_S = 1e-9
 """A time is over if less than this is left of it [s]."""
 
 
-class ForAction(GuardedBehaviour, Requester, Decorator):
+class ForAction(Requester, Decorator):
     """Ticks any behaviour only while a ROSA action is feasible, and requests the action meanwhile.
 
     Each tick asks whether the action is feasible. If it is not, the child is stopped, and this
@@ -65,34 +65,24 @@ class ForAction(GuardedBehaviour, Requester, Decorator):
         self.wait = wait
         self.timeout = timeout
         self.exclusive = exclusive
-        self._request = ActionRequest(self, kb)
+        self._rosa_request = ActionRequest(self, kb)
+        guard(self)
 
-    def advance(self) -> Ticking:
-        new_status = self._request.admit()
-        if new_status is SUCCESS:
-            yield from self.decorated.tick()
-            new_status = self.update()
-        return new_status
+    def _rosa_work(self) -> Ticking:
+        yield from self.decorated.tick()
+        return self.update()
 
     def update(self) -> Status:
         self.feedback_message = self.decorated.feedback_message
         return self.decorated.status
 
     def stop(self, new_status: Status) -> None:
-        """Stop the child if it is running, and release the request, also if the child raises.
+        """Release the request, and stop the child if it is running.
 
         The status changes last: after an interrupt in here, a second call does the rest.
         """
-        try:
-            self.terminate(new_status)
-            if new_status is INVALID or self.decorated.status is RUNNING:
-                self.decorated.stop(INVALID)
-        except Exception as error:
-            report(self, error, " (at the end)")
-        finally:
-            halt(self.decorated)
-            self._request.close(new_status, self.feedback_message)
-        self.status = new_status
+        self._rosa_request.close(new_status, self.feedback_message)
+        super().stop(new_status)
 
 
 class UntilSuccess(Decorator):

@@ -247,15 +247,18 @@ class LastingFeasibility:
         return getattr(self._kb, name)
 
     def forecasts(self) -> Mapping[str, Any]:
-        """Return the forecast for each action that is feasible now, by its feasibility fact."""
-        now = self._kb.now, self._kb.log.last
-        if self._cache[0] != now:
+        """Return the forecast for each action that is feasible now, by its feasibility fact.
+
+        Without an event there is nothing new but the time.
+        """
+        if self._cache[0] != self._kb.log.last:
             forecasts = dict[str, Any]()
             for atom, action in self._actions.items():
                 if self._kb.is_feasible(action):
                     forecasts[atom] = self._kb.feasible_until(action, _AHEAD_S)
-            self._cache = now, forecasts
-        return self._cache[1]
+            self._cache = self._kb.log.last, forecasts
+        now = self._kb.now
+        return {atom: each._replace(now=now) for atom, each in self._cache[1].items()}
 
 
 class FeasibilityEvents:

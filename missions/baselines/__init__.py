@@ -2,9 +2,8 @@
 
 from missions.baselines.manager import Manager, Robot
 from missions.baselines.policies import Policy
-from missions.engine.managers import POLICIES, find_manager, open_run
-from missions.engine.managers import SEA_MANAGERS as MANAGERS
-from missions.engine.runner import OURS
+from missions.engine.mission import SEA_MANAGERS as MANAGERS
+from missions.engine.runner import OURS, POLICIES, find_manager, open_run
 from missions.engine.settings import Setting
 
 __all__ = [

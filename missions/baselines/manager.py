@@ -3,19 +3,21 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import inf
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar, cast
 
 from kb import DiagnosticProblem, RequiredAction
-from missions.engine.managers import ManagerBase, is_in_sea, manager_name
-from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict, World
-from missions.engine.runner import MissionRun
-from missions.engine.settings import RunSettings
+from missions.engine.mission import (
+    SEA_MANAGERS,
+    Message,
+    Mission,
+    MissionError,
+    Percepts,
+    Verdict,
+)
+from missions.engine.runner import ManagerBase, MissionRun, Opening
 
 if TYPE_CHECKING:
-    from numpy.random import Generator
-
     from missions.suave.world import Sea
-
 
 MEASUREMENTS = ("ea measurement", "qa status")
 COMPONENT_STATUS = "component status"
@@ -38,31 +40,27 @@ class Robot:
         reported: last published word by component, e.g. {"c_thruster_1": "FALSE"}.
         percepts: what else was published, e.g. whether `percepts.holds("pipeline_found")`.
         deadline_s: latest end of the mission [s].
+        history: all changes of components.
         way_m: function that returns the distance to the station by odometry [m].
         tasks: all tasks that were begun, in order.
         agenda: the events to come, by time.
     """
 
-    def __init__(
-        self,
-        mission: Mission,
-        world: "Sea",
-        rng: "Generator",
-        options: Mapping[str, float],
-        deadline_s: float,
-    ) -> None:
+    def __init__(self, opening: Opening) -> None:
         from suave_env.components import Agenda
 
-        self.mission = mission
+        world = cast("Sea", opening.world)  # else `Manager.refusal` has refused the mission
+        self.mission = opening.mission
         self.settings = world.settings
-        self.rng = rng
-        self.options = options
-        self.deadline_s = deadline_s
+        self.rng = opening.rng
+        self.options = opening.options
+        self.deadline_s = opening.settings.duration_s
         self.way_m = world.way_m
         self.measured: dict[str, float] = {}
         self.reported: dict[str, str] = {}
         self.percepts = Percepts()
         self.tasks: list[RequiredAction] = []
+        self.history = world.history
         managed = world.managed
         self.activate = managed.activate
         self.deactivate = managed.deactivate
@@ -145,7 +143,7 @@ class Manager(ManagerBase):
 
     @classmethod
     def refusal(cls, mission: Mission) -> str:
-        if is_in_sea(mission):
+        if mission.world.managers is SEA_MANAGERS:
             return ""
         return (
             f"{cls.__name__} commands the sea's vehicle, and {mission.name} does not happen in "
@@ -153,17 +151,8 @@ class Manager(ManagerBase):
         )
 
     @classmethod
-    def open(
-        cls,
-        mission: Mission,
-        task: str,
-        world: World,
-        settings: RunSettings,
-        rng: "Generator",
-        options: Mapping[str, Any],
-    ) -> "BaselineRun":
-        sea: Any = world  # `refusal` has found that the mission happens in the sea
-        return BaselineRun(mission, sea, settings, cls, rng, options)
+    def open(cls, opening: Opening) -> "BaselineRun":
+        return BaselineRun(opening, cls)
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
@@ -207,24 +196,16 @@ class BaselineRun(MissionRun):
             and the line.
     """
 
-    def __init__(
-        self,
-        mission: Mission,
-        world: "Sea",
-        settings: RunSettings,
-        manager: type[Manager],
-        rng: "Generator",
-        options: Mapping[str, float],
-    ) -> None:
+    def __init__(self, opening: Opening, manager: type[Manager]) -> None:
         task = "tree of the manager" if manager.decides_tasks else "mission node"
-        super().__init__(mission, world, settings, manager_name(manager), task)
+        super().__init__(opening.mission, opening.world, opening.settings, opening.manager, task)
+        options = opening.options
         published = [option.name for option in manager.options if option.is_published]
         self.inputs = {f"input_from_paper_{name}": options[name] for name in published}
-        self._changes = world.history
-        phases = rng.random(2).tolist()
-        self.robot = Robot(mission, world, rng, options, settings.duration_s)
+        phases = opening.rng.random(2).tolist()
+        self.robot = Robot(opening)
         self._manager = manager(self.robot)
-        mission_s = world.settings.mission_period_s
+        mission_s = self.robot.settings.mission_period_s
         period_s = self._manager.period_s
         if not 0 < period_s < inf:
             raise MissionError(
@@ -255,16 +236,14 @@ class BaselineRun(MissionRun):
         return self.robot.measured
 
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
-        with self.spending("manager"):
-            self.robot.receive(message)
-            self._manager.receive(message)
+        self.robot.receive(message)
+        self._manager.receive(message)
         return ()
 
     def decide(self) -> bool:
         self._is_ticked = False
-        with self.spending("manager"):
-            while self.due <= self.world.now:
-                self.robot.agenda.happen()
+        while self.due <= self.world.now:
+            self.robot.agenda.happen()
         self._report()
         return self._is_ticked
 
@@ -306,7 +285,7 @@ class BaselineRun(MissionRun):
         if not self.listeners:
             return
         tasks = self.robot.tasks
-        changes = self._changes
+        changes = self.robot.history
         said = [(task.start, f"{task.action} is begun") for task in tasks[self._tasks_reported :]]
         said += [(change.time, str(change)) for change in changes[self._changes_reported :]]
         self._tasks_reported = len(tasks)

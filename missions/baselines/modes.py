@@ -13,9 +13,8 @@ inactive
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from enum import StrEnum
-from typing import ClassVar, Final
+from dataclasses import dataclass, field
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 from py_trees.behaviour import Behaviour
@@ -88,10 +87,6 @@ class SystemModes:
         elif not wanted.active and had is not None and had.active:
             self._robot.deactivate(component)
 
-    def unground(self, function: str) -> None:
-        """Request the mode in which the function's component is inactive."""
-        self.request(function, UNGROUND)
-
     def is_in(self, function: str, mode: str) -> bool:
         """Tell whether a component is as a mode wants it; several modes may want the same."""
         component, modes = FUNCTIONS[function]
@@ -117,7 +112,7 @@ class ModesManager(Manager):
         self.modes = SystemModes(robot)
 
     def end(self, task: str) -> None:
-        self.modes.unground(MODES[task][0])
+        self.modes.request(MODES[task][0], UNGROUND)
 
 
 class NoManager(ModesManager):
@@ -216,7 +211,7 @@ class _DoTask(Behaviour):
         if self.status is Status.RUNNING or new_status is Status.SUCCESS:
             self._robot.end("completed" if new_status is Status.SUCCESS else "abandoned")
             for function in self._functions:
-                self._modes.unground(function)
+                self._modes.request(function, UNGROUND)
 
 
 def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
@@ -290,120 +285,57 @@ def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
 class Design:
     """A design of a function, with the name of the mode that it requests.
 
-    Higher performance is better.
-
     It needs the components, and for each of the qualities, (attribute, least value), at least that
-    value.
+    value; one that is not measured counts as good enough.
     """
 
     name: str
     function: str
-    performance: float
     components: tuple[str, ...] = ()
     qualities: tuple[tuple[str, float], ...] = ()
 
+    def suffices(self, measured: Mapping[str, float]) -> bool:
+        return all(measured.get(name, least) >= least for name, least in self.qualities)
+
 
 DESIGNS: Final = (
-    Design("fd_all_thrusters", MOTION, 1.0, tuple(f"c_thruster_{index}" for index in range(1, 7))),
-    Design("fd_follow_pipeline", FOLLOW, 1.0),
-    Design("fd_spiral_high", SEARCH, 1.0, qualities=(("water_visibility", 3.25),)),
-    Design("fd_recover_thrusters", MOTION, 0.75),
-    Design("fd_spiral_medium", SEARCH, 0.5, qualities=(("water_visibility", 2.25),)),
-    Design("fd_spiral_low", SEARCH, 0.25, qualities=(("water_visibility", 1.25),)),
+    Design("fd_all_thrusters", MOTION, tuple(f"c_thruster_{index}" for index in range(1, 7))),
+    Design("fd_follow_pipeline", FOLLOW),
+    Design("fd_spiral_high", SEARCH, qualities=(("water_visibility", 3.25),)),
+    Design("fd_recover_thrusters", MOTION),
+    Design("fd_spiral_medium", SEARCH, qualities=(("water_visibility", 2.25),)),
+    Design("fd_spiral_low", SEARCH, qualities=(("water_visibility", 1.25),)),
 )
-"""All designs, the best first, then by name; from the ontology of kas-lab/suave v1.3.0."""
-
-ALWAYS_IMPROVED: Final = frozenset({SEARCH})
-"""Functions whose design is chosen anew even while the objective is satisfied; same source."""
+"""All designs, those of higher performance first; from the ontology of kas-lab/suave v1.3.0."""
 
 
-def designs_of(function: str) -> tuple[Design, ...]:
-    """Return the designs of a function, the best first."""
-    return tuple(design for design in DESIGNS if design.function == function)
-
-
-class Standing(StrEnum):
-    """The status of an objective: the first of these that holds, in this order."""
-
-    UNGROUNDED = "UNGROUNDED"  # no design serves it
-    COMPONENT_ERROR = "IN_ERROR_COMPONENT"  # its design needs a component that has failed
-    FUNCTION_ERROR = "IN_ERROR_FR"  # the mode of its design was requested, but is not in force
-    QUALITY_ERROR = "IN_ERROR_NFR"  # a quality is measured below what its design needs
-    UPDATABLE = "UPDATABLE"  # a component has recovered: a better design may be possible
-    SATISFIED = "SATISFIED"
-
-
-@dataclass(frozen=True, slots=True)
-class Situation:
-    """What Metacontrol has received, and what the pass before has inferred.
+class _Situation(NamedTuple):
+    """What a pass of reasoning begins with: measurements, and what the passes before inferred.
 
     Attributes:
-        measured: the last value of each attribute that is measured.
-        failed: names of the components that have failed.
-        unrealisable: names of designs that need a failed component, as the pass before has
-            inferred.
-        grounded: names of the designs that serve objectives, by function.
+        grounded: the design that serves each function.
         not_in_force: functions whose mode was requested, but is not in force.
-        errors: names of designs whose mode did not come into force.
+        unrealisable: names of the designs that need a failed component.
+        errors: names of the designs whose mode did not come into force.
         recovered: whether a component has recovered since the last choice.
     """
 
-    measured: Mapping[str, float] = field(default_factory=dict)
-    failed: frozenset[str] = frozenset()
-    unrealisable: frozenset[str] = frozenset()
-    grounded: Mapping[str, str] = field(default_factory=dict)
-    not_in_force: frozenset[str] = frozenset()
-    errors: frozenset[str] = frozenset()
-    recovered: bool = False
-
-
-def unrealisable(situation: Situation) -> frozenset[str]:
-    """Return the names of the designs that need a failed component."""
-    return frozenset(
-        design.name for design in DESIGNS if not situation.failed.isdisjoint(design.components)
-    )
-
-
-def standing(situation: Situation, function: str) -> Standing:
-    grounded = situation.grounded.get(function)
-    design = next((design for design in designs_of(function) if design.name == grounded), None)
-    if design is None:
-        return Standing.UNGROUNDED
-    if design.name in situation.unrealisable:
-        return Standing.COMPONENT_ERROR
-    if function in situation.not_in_force:
-        return Standing.FUNCTION_ERROR
-    if not _suffices(design, situation):
-        return Standing.QUALITY_ERROR
-    return Standing.UPDATABLE if situation.recovered else Standing.SATISFIED
-
-
-def best_design(situation: Situation, function: str) -> Design | None:
-    """Return the best design of a function that is possible now; None if there is none."""
-    barred = situation.unrealisable | situation.errors
-    possible = (
-        design
-        for design in designs_of(function)
-        if design.name not in barred and _suffices(design, situation)
-    )
-    return next(possible, None)
-
-
-def _suffices(design: Design, situation: Situation) -> bool:
-    """Tell whether no quality is measured below what a design needs.
-
-    Unmeasured ones count as good enough.
-    """
-    measured = situation.measured
-    return all(not measured[name] < value for name, value in design.qualities if name in measured)
-
-
-OBJECTIVES: Final = {"search_pipeline": (MOTION, SEARCH), "inspect_pipeline": (MOTION, FOLLOW)}
-"""Functions that each task needs; from the task bridge of kas-lab/suave v1.3.0."""
+    measured: Mapping[str, float]
+    failed: frozenset[str]
+    grounded: Mapping[str, Design]
+    not_in_force: frozenset[str]
+    unrealisable: frozenset[str]
+    errors: frozenset[str]
+    recovered: bool
 
 
 class Metacontrol(ModesManager):
     """Grounds objectives of a task in function designs; replaces those of objectives in error.
+
+    An objective is the function of the task, or the motion. It is in error, first things first, if
+    no design serves it, its design needs a failed component, the mode of its design is not in force
+    though it was requested, or a quality is below what the design needs. It is updatable if a
+    component has recovered, and that of the search always.
 
     A pass of reasoning uses what was received before it; what it infers is used by the next pass
     only. So a component that fails makes designs unrealisable in one pass, and puts an objective in
@@ -430,18 +362,22 @@ class Metacontrol(ModesManager):
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
         self.period_s = robot.options["reasoning_period_s"]
-        self._situation = Situation()
         self._objectives: tuple[str, ...] = ()
+        self._grounded: dict[str, Design] = {}
+        self._failed: frozenset[str] = frozenset()
+        self._unrealisable: frozenset[str] = frozenset()
+        self._errors: frozenset[str] = frozenset()
+        self._recovered = False
         self._is_reasoning = False
 
     def begin(self, task: str) -> None:
-        self._objectives = OBJECTIVES[task]
+        self._objectives = MOTION, MODES[task][0]
 
     def end(self, task: str) -> None:
+        for function in self._objectives:
+            self.modes.request(function, UNGROUND)
         self._objectives = ()
-        self._situation = replace(self._situation, grounded={})
-        for function in OBJECTIVES[task]:
-            self.modes.unground(function)
+        self._grounded = {}
 
     def update(self) -> None:
         if not self._is_reasoning:
@@ -449,44 +385,49 @@ class Metacontrol(ModesManager):
             self._reason()
 
     def _reason(self) -> None:
-        before = self._situation
-        failed = frozenset(
-            name for name, word in self.robot.reported.items() if word in ("FALSE", "ERROR")
-        )
-        amiss = frozenset(
-            name for name, mode in before.grounded.items() if not self.modes.is_in(name, mode)
-        )
-        situation = self._situation = replace(
-            before,
-            measured=dict(self.robot.measured),
-            failed=failed,
-            not_in_force=amiss,
-            recovered=before.recovered or not before.failed <= failed,
+        reported = self.robot.reported.items()
+        failed = frozenset(name for name, word in reported if word in ("FALSE", "ERROR"))
+        self._recovered |= not self._failed <= failed
+        self._failed = failed
+        served = self._grounded.items()
+        amiss = frozenset(name for name, each in served if not self.modes.is_in(name, each.name))
+        situation = _Situation(
+            dict(self.robot.measured),
+            failed,
+            dict(self._grounded),
+            amiss,
+            self._unrealisable,
+            self._errors,
+            self._recovered,
         )
         self.robot.later(self.robot.options["reasoning_s"], lambda: self._act(situation))
 
-    def _act(self, seen: Situation) -> None:
+    def _act(self, seen: _Situation) -> None:
         """Request what the pass has found, then reason again if it has inferred something new."""
         for function in self._objectives:
-            stands = standing(seen, function)
-            if stands is not Standing.SATISFIED or function in ALWAYS_IMPROVED:
-                self._ground(function, stands, seen)
-        inferred = unrealisable(seen)
-        self._is_reasoning = inferred != seen.unrealisable
+            self._ground(function, seen)
+        self._unrealisable = frozenset(
+            design.name for design in DESIGNS if not seen.failed.isdisjoint(design.components)
+        )
+        self._is_reasoning = self._unrealisable != seen.unrealisable
         if self._is_reasoning:
-            self._situation = replace(self._situation, unrealisable=inferred)
             self._reason()
         else:
-            self._situation = replace(self._situation, recovered=False)
+            self._recovered = False
 
-    def _ground(self, function: str, stands: Standing, seen: Situation) -> None:
-        errors = seen.errors
-        if stands is Standing.FUNCTION_ERROR:
-            errors |= {seen.grounded[function]}
-            self._situation = replace(self._situation, errors=self._situation.errors | errors)
-        design = best_design(replace(seen, errors=errors), function)
-        if design is not None:
-            self.modes.request(function, design.name)
-            self._situation = replace(
-                self._situation, grounded={**self._situation.grounded, function: design.name}
-            )
+    def _ground(self, function: str, seen: _Situation) -> None:
+        """Request the mode of the best possible design, unless the objective is satisfied."""
+        design = seen.grounded.get(function)
+        barred = seen.unrealisable | seen.errors
+        if design is not None and design.name not in seen.unrealisable:
+            if function in seen.not_in_force:
+                barred |= {design.name}
+                self._errors |= seen.errors | {design.name}
+            elif function != SEARCH and design.suffices(seen.measured) and not seen.recovered:
+                return
+        for design in DESIGNS:
+            is_possible = design.name not in barred and design.suffices(seen.measured)
+            if design.function == function and is_possible:
+                self.modes.request(function, design.name)
+                self._grounded = {**self._grounded, function: design}
+                return

@@ -2,18 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from kb import KnowledgeBase, Model, ReconfigurationPlan, Status
-from kb.diagnostics import COMPONENT_REPORTS, COMPONENT_VALUES
+from kb import DiagnosticProblem, KnowledgeBase, Model, ReconfigurationPlan, Status
+from kb.diagnostics import COMPONENT_REPORTS
 from kb.planning import by_priority
 from kb.views import ConfigurationView, DesignView
-from missions.engine.managers import ManagerBase, manager_name
-from missions.engine.mission import Mission, World, built
-from missions.engine.percepts import MISSION_STATUS, Message
-from missions.engine.runner import RosaRun
-from missions.engine.settings import MissionError, RunSettings, Setting
+from missions.engine.percepts import Message
+from missions.engine.runner import ManagerBase, Opening, RosaRun
+from missions.engine.settings import MissionError, Setting
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -26,14 +23,12 @@ class Policy(ManagerBase):
 
     Attributes:
         options: settings that can be set from outside; their values are in `values`.
-        adapts_tasks: whether actions become unfeasible when a constraint is violated or a component
-            fails.
         tasks: names of the task layers that it goes with.
         model: the model with the designs and configurations to choose from.
         rng: random generator, its only source of chance.
     """
 
-    adapts_tasks: ClassVar[bool] = True
+    run: ClassVar[type[RosaRun]] = RosaRun
     is_waiting = True  # it may choose again only because time has passed
 
     def __init__(self, model: Model, rng: "Generator", values: Mapping[str, Any]) -> None:
@@ -42,38 +37,22 @@ class Policy(ManagerBase):
         self.values = values
 
     @classmethod
-    def open(
-        cls,
-        mission: Mission,
-        task: str,
-        world: World,
-        settings: RunSettings,
-        rng: "Generator",
-        options: Mapping[str, Any],
-    ) -> RosaRun:
-        policy = cls(mission.model(), rng, options)
-        name = manager_name(cls)
-        title = f"what alter() of {name} gives"
-        altered = built(title, Mission, partial(policy.alter, mission, world))
-        return RosaRun(altered, task, world, settings, name, policy, policy.hear)
+    def open(cls, opening: Opening) -> RosaRun:
+        policy = cls(opening.mission.model(), opening.rng, opening.options)
+        return cls.run(
+            opening.mission,
+            opening.task,
+            opening.world,
+            opening.settings,
+            opening.manager,
+            policy,
+        )
 
     def pick(
         self, kb: KnowledgeBase, possible: Sequence[Part], selected: Part | None
     ) -> Part | None:
         """Return what to select of the feasible ones, by priority; None changes nothing."""
         return possible[0] if selected is None and possible else None
-
-    def alter(self, mission: Mission, world: World) -> Mission:
-        """Return the mission as it is run under this manager."""
-        if self.adapts_tasks:
-            return mission
-        return replace(mission, model=lambda: _unconstrained(mission.model()))
-
-    def hear(self, message: Message) -> Message:
-        """Return a message as the knowledge base receives it."""
-        if self.adapts_tasks:
-            return message
-        return {**message, "status": [_as_percept(status) for status in message["status"]]}
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
         """Choose a design for every required function, and configurations for its components."""
@@ -136,10 +115,31 @@ class Fixed(Policy):
         return super().pick(kb, preferred or possible, selected)
 
 
+class _DeafRun(RosaRun):
+    """A run that hears of no failure."""
+
+    def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
+        statuses = message["status"]
+        heard = [each for each in statuses if each["message"].casefold() not in COMPONENT_REPORTS]
+        return super().receive({**message, "status": heard})
+
+
 class Unmanaged(Fixed):
     """Configures each action once, and ignores measurements and failures: nothing adapts."""
 
-    adapts_tasks = False
+    run = _DeafRun
+
+    @classmethod
+    def open(cls, opening: Opening) -> RosaRun:
+        mission = opening.mission
+
+        def unconstrained() -> Model:
+            model = mission.model()
+            for constraint in model.constraints:
+                model.remove(constraint)
+            return model
+
+        return super().open(opening._replace(mission=replace(mission, model=unconstrained)))
 
 
 class Random(Policy):
@@ -174,47 +174,3 @@ class Random(Policy):
         if not possible or not (self._is_due or selected is None):
             return None
         return possible[int(self.rng.integers(len(possible)))]
-
-
-class ByHand(Policy):
-    """Leaves all to `Mission.by_hand`, a tree that commands the components itself.
-
-    The tree reads measurements from the knowledge base, and from the percepts whether "NAME has
-    failed".
-    """
-
-    adapts_tasks = False
-    tasks = ("bt",)
-
-    @classmethod
-    def refusal(cls, mission: Mission) -> str:
-        if mission.by_hand is not None:
-            return ""
-        hint = "give it by_hand=lambda kb, percepts, managed: ..., or take another manager"
-        return f"mission {mission.name} has no hand-written tree; {hint}"
-
-    def alter(self, mission: Mission, world: World) -> Mission:
-        build = mission.by_hand
-        assert build is not None  # `refusal` has refused the mission otherwise
-        altered = super().alter(mission, world)
-        return replace(altered, tree=lambda kb, percepts: build(kb, percepts, world.managed))
-
-    def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
-        return None
-
-
-def _unconstrained(model: Model) -> Model:
-    for constraint in model.constraints:
-        model.remove(constraint)
-    return model
-
-
-def _as_percept(status: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return a report on components as a percept, which makes nothing unfeasible."""
-    if str(status["message"]).strip().casefold() not in COMPONENT_REPORTS:
-        return status
-    values = {}
-    for name, word in status["values"].items():
-        verb = COMPONENT_VALUES.get(str(word).strip().casefold())
-        values[f"{name} has failed"] = verb == "component_failed"
-    return {**status, "message": MISSION_STATUS, "values": values}

@@ -41,7 +41,7 @@ def open_console() -> "Console":
     return console
 
 
-def assignments(texts: Texts, option: str, form: str = "NAME=VALUE") -> dict[str, str]:
+def assignments(texts: Texts, option: str) -> dict[str, str]:
     """Read the values of an option such as `--set NAME=VALUE`, by name.
 
     Raises:
@@ -53,7 +53,7 @@ def assignments(texts: Texts, option: str, form: str = "NAME=VALUE") -> dict[str
     for text in texts or ():
         name, equals, value = text.partition("=")
         if not equals or not name:
-            raise MissionError(f"{option} takes {form}, not {text!r}")
+            raise MissionError(f"{option} takes NAME=VALUE, not {text!r}")
         values[name.strip()] = value.strip()
     return values
 
@@ -105,11 +105,11 @@ def list_settings(
     manager: Annotated[str, Option(help="Also list the settings of this manager.")] = "ours",
 ) -> None:
     """List the settings of a mission: default, unit, what is allowed, meaning and source."""
-    from missions.engine.managers import options_of
     from missions.engine.mission import find_mission, settings_of
+    from missions.engine.runner import find_manager
 
     named = find_mission(mission)
-    for setting in (*options_of(manager, named), *settings_of(named)):
+    for setting in (*find_manager(manager, named).options, *settings_of(named)):
         default = named.fixed.get(setting.name, setting.default)
         shown = f"{default:g}" if isinstance(default, float) else str(default)
         row = f"{setting.name:<32} {shown:>9} {setting.unit:<8} {setting.allowed}"

@@ -1,6 +1,5 @@
 """`rosa campaign`, `rosa report` and `rosa learn`: many runs, and what came of them."""
 
-import shlex
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -64,16 +63,9 @@ def campaign(
             with shown.progress:
                 written = conduct(store, folder, chosen, retry=retry, progress=shown)
         except (KeyboardInterrupt, SystemExit, MissionError):
-            words = [str(file)] if store.campaign.own_modules else []  # see Store
-            if words and runs is not None:
-                words += ["--runs", str(runs)]
-            words += ["--resume", "--out", str(folder)]
-            if cluster:
-                words += ["--cluster", cluster]
-            again = escape(f"rosa campaign {shlex.join(words)}")
-            console.print(
-                f"{shown.count} of {shown.total} runs are done and kept; go on with\n  {again}"
-            )
+            named = f" {file}" if store.campaign.own_modules else ""  # see Store
+            again = escape(f"rosa campaign{named} --resume --out {folder}")
+            console.print(f"{shown.count} of {shown.total} runs are done and kept; go on: {again}")
             raise
     took = perf_counter() - started
     console.print(

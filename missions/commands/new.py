@@ -11,27 +11,7 @@ from missions.engine.mission import MissionError
 from missions.views.output import files_tried
 
 TEMPLATE: Final = Path(__file__).parents[1] / "template"
-FILES: Final = {
-    **{name: name for name in ("README.md", "campaign.toml", "bridge.toml")},
-    **{f"{name}.txt": f"my_robot/{name}.py" for name in ("model", "actions", "tree", "world")},
-    **{f"{name}.pddl": f"my_robot/{name}.pddl" for name in ("domain", "problem")},
-    **{
-        "init.txt": "my_robot/__init__.py",
-        "test.txt": "tests/test_my_robot.py",
-        "project.txt": "pyproject.toml",
-        "package.xml": "package.xml",
-        "setup.txt": "setup.py",
-        "resource.txt": "resource/my_robot",
-        "launch.txt": "launch/my_robot.launch.py",
-    },
-}
-_ROS2: Final = ("bridge.toml", "package.xml", "setup.txt", "resource.txt", "launch.txt")
-NEEDS: Final = {
-    "tree.txt": "bt",
-    "domain.pddl": "pddl",
-    "problem.pddl": "pddl",
-    **dict.fromkeys(_ROS2, "ros2"),
-}
+"""Holds what is written, under its place but for a `.txt` that hides it from tools."""
 
 
 def new(
@@ -55,11 +35,12 @@ def new(
         raise MissionError(f"there is something named {name} already; give the robot another name")
     parts = ({"bt", "pddl"} if task == "both" else {task}) | ({"ros2"} if ros2 else set())
     with files_tried(f"write {folder}"):
-        for template, target in FILES.items():
-            if NEEDS.get(template) in (None, *parts):
-                file = folder / target.replace("my_robot", name)
+        for template in sorted(TEMPLATE.rglob("*.*")):
+            text = filled(template.read_text(encoding="utf-8"), name, parts)
+            if text:
+                place = template.relative_to(TEMPLATE).as_posix().removesuffix(".txt")
+                file = folder / place.replace("my_robot", name)
                 file.parent.mkdir(parents=True, exist_ok=True)
-                text = filled((TEMPLATE / template).read_text(encoding="utf-8"), name, parts)
                 file.write_text(text, encoding="utf-8")
     echo(f"{folder}/README.md says what is where; it runs and is tested by\n  cd {name}")
     echo(f"  rosa run {name}:MISSION\n  pytest")

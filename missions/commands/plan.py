@@ -28,9 +28,6 @@ def plan(
     model: Annotated[
         list[Path] | None, Option(help="File of the model that says what is feasible.")
     ] = None,
-    feasible: Annotated[
-        Texts, Option(metavar="A,B", help="Only these actions are feasible.")
-    ] = None,
     situation: Annotated[
         Texts,
         Option(metavar="NAME=VALUE", help="Suppose battery_level=0.2, or camera=failed."),
@@ -63,7 +60,6 @@ def plan(
         named,
         model or [],
         situation=situation or [],
-        feasible=feasible,
         goals=goal or [],
     )
     outputs = open_files({"json": json, "svg": svg})

@@ -1,6 +1,7 @@
 """`rosa replay` and `rosa record`: decide a recording again, look into it, or convert it."""
 
 import gc
+import json
 from collections.abc import Iterable, Iterator, Sequence
 from difflib import unified_diff
 from itertools import islice
@@ -10,9 +11,8 @@ from typing import Annotated, Final
 from rich.table import Table
 from typer import Exit, Option, Typer
 
-from kb import Event, KnowledgeBaseError
+from kb import Event
 from kb.files import draft
-from kb.model import differences
 from missions.commands import FAILED, Breakpoints, File, Text, open_console, print_lines
 from missions.engine.mission import MISSIONS, MissionError, Verdict
 from missions.engine.percepts import MISSION_STATUS
@@ -24,7 +24,7 @@ from missions.views.breakpoints import watch_breakpoints
 from missions.views.output import files_tried
 from missions.views.recorder import RunRecorder
 from missions.views.report import write_report
-from missions.wires.mcap import Bag, is_bag, messages, read_bag, recorded_model, write_in_chunks
+from missions.wires.mcap import Bag, is_bag, messages, read_bag, write_in_chunks
 
 record = Typer(
     help="Look at a recording, or put it in another form.",
@@ -46,7 +46,6 @@ def replay(
     ] = None,
     task: Annotated[Text, Option(help="Its task layer, bt or pddl; default: as recorded.")] = None,
     report: Annotated[File, Option(help="Write the new decisions as an HTML page.")] = None,
-    heard: Annotated[bool, Option("--heard", help="Show the messages, too.")] = False,
     stop_at: Breakpoints = None,
 ) -> None:
     """Decide again what was recorded; exit with 1 if that differs from the recorded decisions.
@@ -80,10 +79,11 @@ def replay(
     if report is not None:
         pages[0].end(stopped or Verdict("replayed", f"decided once more from {recording.name}"))
         write_report(report, pages[0].recorder.recorded)
-    if "elements" in bag.run:
-        print_lines(_model_differences(bag, decisions))
+    model = json.loads(json.dumps(decisions.kb.model.plain()))
+    if bag.run.get("elements", model) != model:
+        print_lines(["it is decided with another model than the recorded one"], "bold")
     for moment in decisions.timeline:
-        if heard or moment.what != "heard":
+        if moment.what != "heard":
             open_console().print(str(moment), markup=False, soft_wrap=True)
     _print_notes(bag)
     if decisions.problems:
@@ -99,7 +99,8 @@ def replay(
     if not bag.events:
         print_lines(["the recording has no decisions to compare with"])
         return
-    before, now = (_decisions(bag, events) for events in (bag.events, decisions.events))
+    before = _decisions(bag, bag.events)
+    now = _decisions(bag, decisions.events)
     lines = islice(unified_diff(before, now, n=0, lineterm=""), 2, None)
     otherwise = [f"{line[0]} {line[1:]}" for line in lines if not line.startswith("@@")]
     if not otherwise:
@@ -145,20 +146,6 @@ def convert(recording: Path, output: Path) -> None:
             write_in_chunks(part, messages(recording, bag))
         part.replace(output)
     _print_notes(bag)
-
-
-def _model_differences(bag: Bag, decisions: Decisions) -> Iterator[str]:
-    model = decisions.kb.model
-    try:
-        recorded = recorded_model(bag)
-        is_same = recorded.plain() == model.plain()
-        changed = [] if is_same else differences(recorded, model)
-    except KnowledgeBaseError as error:  # of another version
-        changed = [str(error)]
-    if changed:
-        other = f"decided with {model.name}, which is another one:"
-        yield f"recorded with the model {bag.run['model']}, {other}"
-        yield from _first(changed)
 
 
 def _silence(bag: Bag, decisions: Decisions, mission: str) -> str:

@@ -22,9 +22,7 @@ from missions.commands import (
     File,
     Store,
     Text,
-    Texts,
     Token,
-    assignments,
     print_lines,
     tree_builder,
 )
@@ -47,9 +45,6 @@ def bridge(
     ] = None,
     config: Annotated[File, Option(help="bridge.toml: which topics and nodes are what.")] = None,
     url: Annotated[Text, Option(help="The robot's rosbridge: ws://127.0.0.1:9090.")] = None,
-    attribute: Annotated[
-        Texts, Option(metavar="NAME=/TOPIC.FIELD", help="The field that measures an attribute.")
-    ] = None,
     rclpy: Annotated[bool, Option("--rclpy", help="By rclpy, where ROS 2 is installed.")] = False,
     token: Token = "",
     answer: Annotated[
@@ -62,9 +57,7 @@ def bridge(
 ) -> None:
     """Manage a robot in ROS 2: hear its diagnostics, switch its nodes, run its tree."""
     settings = _settings(config)
-    measured = assignments(attribute, "--attribute", "NAME=/TOPIC.FIELD")
-    places = {**settings.attributes, **measured}
-    settings = replace(settings, url=url or settings.url, attributes=places)
+    settings = replace(settings, url=url or settings.url)
     model, mission = find_robot(robot)
     build: Callable[..., object] | None = mission.tree if mission else None
     if tree:

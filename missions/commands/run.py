@@ -28,7 +28,7 @@ from missions.engine.runner import MissionRun, RosaRun
 from missions.views.breakpoints import watch_breakpoints
 from missions.views.console import Narrator, print_result
 from missions.views.live import KEEP, LiveView, Steering
-from missions.views.output import as_json, files_tried, open_files, summary, timing_of
+from missions.views.output import as_json, files_tried, open_files, summary
 from missions.views.recorder import RunRecorder
 from missions.views.report import report as page_of
 
@@ -49,7 +49,6 @@ def run(
     json: Annotated[File, Option(help="Write the result as JSON.")] = None,
     plot: Annotated[File, Option(help="Draw the run as a PNG picture.")] = None,
     report: Annotated[File, Option(help="Write the run as an HTML page.")] = None,
-    timing: Annotated[File, Option(help="Write the compute times as JSON.")] = None,
     record: Annotated[
         File, Option(help="Record as FILE.mcap, or diagnostics as lines of JSON.")
     ] = None,
@@ -93,7 +92,7 @@ def run(
     is_drawn = bool(report or plot)
     console = open_console()
     with ExitStack() as stack:
-        paths = {"json": json, "plot": plot, "report": report, "timing": timing}
+        paths = {"json": json, "plot": plot, "report": report}
         files = open_files(paths | {"record": None if is_mcap else record})
         opened = open_run(chosen, manager=manager, task=task, seed=seed, settings=changed)
         opened.faults.add(*faults)
@@ -149,9 +148,8 @@ def run(
             wall_s = time.perf_counter() - start
         print_result(console, opened, verdict, wall_s, with_adaptations=not progress)
         data = summary(opened, verdict, seed, changed) | {"manager": manager}
-        texts = {"json": as_json(data), "timing": as_json(timing_of(opened, wall_s))}
-        for name in texts.keys() & files.keys():
-            files[name].finish(texts[name])
+        if "json" in files:
+            files["json"].finish(as_json(data))
         if page:
             page.end(verdict)
         if page and "report" in files:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from typing import TYPE_CHECKING, Final
 
-from kb import ComponentKind, Event, EventKind, KnowledgeBase, ReconfigurationPlan, Status
+from kb import Event, EventKind, KnowledgeBase, ReconfigurationPlan, Status
 
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord, Step
@@ -80,12 +80,6 @@ class Adaptation:
         """When it was in force [s]; infinity if it never was."""
         return inf if self.reaction_s is None else self.news_s + self.reaction_s
 
-    def is_over(self, kb: KnowledgeBase, last_tick: float) -> bool:
-        """Whether the robot is configured for it, or a tick has passed since it was."""
-        acted_s = max([self.at_s, *(plan.end or inf for _, plan in self.plans)])
-        is_solved = bool(self.action) and kb.actions[self.action].status is Status.SOLVED
-        return is_solved or not self.action or last_tick >= acted_s
-
     @property
     def why(self) -> str:
         """The reason, with the news in front if the reason does not mention it."""
@@ -145,10 +139,10 @@ class AdaptationLog:
         self._lost: dict[str, News] = {}  # by action: what made it unfeasible
         self._regained: dict[str, News] = {}  # by action: what made it feasible again
         self._unanswered: dict[int, News] = {}  # by event
+        self._begun: Event | None = None  # the last request
         self._ended: tuple[Event, News | None] | None = None  # the last action's end, and its cause
         self._new_plans: list[ReconfigurationPlan] = []  # which belong to no adaptation yet
         self._open: list[Adaptation] = []
-        self._settled = kb.log.last
         self._last_plan: PlanRecord | None = None
         self._steps: frozenset[Step] = frozenset()
         kb.log.witnesses += (self._on_event,)  # before subscribers, on the thread that records
@@ -173,21 +167,18 @@ class AdaptationLog:
         with self._kb.reading():
             self._settle_task_plans(is_reported=self._settle_actions())
             self._settle_plans()
-            self._settled = self._kb.log.last
             if self._kb.pending_plan is None:
-                over = [entry for entry in self._open if entry.is_over(self._kb, self._last_tick)]
-                self._close(sorted(over, key=lambda entry: not entry.action))
+                self._close([entry for entry in self._open if self._is_over(entry)])
 
     def finish(self) -> None:
         """Report an action that was given up and that no other followed; call it at the end."""
-        ended = self._ended
-        self._ended = None
-        if ended is None or ended[1] is None or self._kb.required_actions:
-            return
-        self._enter_change(ended[0], ended[1], "nothing", ended[0].time)
-        self._settle_plans()
-        self.adaptations.sort(key=lambda entry: entry.at_s)
-        self._close(self._open[-1:])
+        ended, cause = self._ended or (None, None)
+        if ended and cause and not self._kb.required_actions:
+            self._ended = None
+            self._enter_change(ended, cause, "nothing", ended.time)
+            self._settle_plans()
+            self.adaptations.sort(key=lambda entry: entry.at_s)
+            self._close(self._open[-1:])
 
     # ---------------------------------------------------------------- events
 
@@ -196,6 +187,7 @@ class AdaptationLog:
             self._new_plans.append(event.plan)
         elif event.verb == "request_action":
             self._lost.pop(event.subject, None)
+            self._begun = event
         elif event.verb == "cancel_action":
             self._on_end(event)
         elif self.is_listening and event.changes and is_news(self._kb, event):
@@ -210,23 +202,26 @@ class AdaptationLog:
         for change in event.changes:
             action = change.name
             if change.kind == "action" and change.new is Status.UNFEASIBLE:
-                reason = self._kb.why(self._kb.actions[action])
-                self._lost[action] = replace(news, reason=reason)
+                self._lost[action] = replace(news, reason=self._why(action))
             elif change.kind == "action" and change.old is Status.UNFEASIBLE:
                 self._lost.pop(action, None)
                 self._regained[action] = replace(news, reason=f"{action} is feasible again")
 
+    def _why(self, action: str) -> str:
+        return self._kb.why(self._kb.actions[action])
+
     def _on_end(self, event: Event) -> None:
         """Note which action has ended and why; a tree may begin the next before it ends this."""
-        action, result, reason = event.arguments
+        if self._begun and self._begun.subject == event.subject:
+            self._begun = None
         cause = None
-        if result != "completed":
-            cause = self._cause_of_end(event, result, reason)
-            self._regained.pop(action, None)
+        if event.arguments[1] != "completed":
+            cause = self._cause_of_end(event)
+            self._regained.pop(event.subject, None)
         self._ended = event, cause
 
-    def _cause_of_end(self, event: Event, result: str, reason: str) -> News | None:
-        action = event.subject
+    def _cause_of_end(self, event: Event) -> News | None:
+        action, result, reason = event.arguments
         if action in self._lost:
             return self._lost[action]
         if result == "failed":
@@ -234,8 +229,7 @@ class AdaptationLog:
             return News(event.time, f"{action} has failed", (event.number,), reason)
         if event.cause is not None:  # what the manager or the task layer found out by itself
             cause = next(self._kb.log.since(event.cause - 1), event)
-            reason = self._kb.why(self._kb.actions[action])
-            return News(cause.time, cause.text, (cause.number,), reason)
+            return News(cause.time, cause.text, (cause.number,), self._why(action))
         plan = self._new_task_plan()
         if plan is not None:
             return self._cause_of_task_plan(plan)
@@ -249,57 +243,48 @@ class AdaptationLog:
 
     def _cause_of_task_plan(self, plan: "PlanRecord") -> News:
         """Return the news when a plan was requested, else the reason of the plan."""
-        for tick, news in reversed(self._ticks):
-            if tick <= plan.at_s:
-                return replace(news, reason=plan.reason)
-        return News(plan.at_s, plan.reason, reason=plan.reason)
+        news = [news for tick, news in self._ticks if tick <= plan.at_s]
+        last = news[-1] if news else News(plan.at_s, plan.reason)
+        return replace(last, reason=plan.reason)
 
     # ---------------------------------------------------------------- decisions
 
     def _settle_actions(self) -> bool:
         """Enter an action that replaces another because of news; return whether there is one."""
-        began = [record for record in self._kb.required_actions if record.number > self._settled]
-        if not began or self._ended is None:
+        begun = self._begun
+        self._begun = None
+        if begun is None or self._ended is None:
             return False
         ended, given_up = self._ended
         self._ended = None
-        action = began[-1].action
-        cause = self._cause_of_change(ended.subject, given_up, action, began[-1].start)
+        cause = self._cause_of_change(ended.subject, given_up, begun)
         if cause is None:
             return False
         plan = self._new_task_plan()
         if plan is not None and not cause.reason:
             cause = replace(cause, reason=plan.reason)
         self._close([entry for entry in self._open if entry.action])
-        self._enter_change(ended, cause, action, began[-1].start)
+        self._enter_change(ended, cause, begun.subject, begun.time)
         return True
 
-    def _cause_of_change(
-        self, before: str, given_up: News | None, action: str, time: float
-    ) -> News | None:
+    def _cause_of_change(self, before: str, given_up: News | None, begun: Event) -> News | None:
         """Return the news for which an action replaces another; None for the ordinary course."""
+        action = begun.subject
         cause = given_up if before != action else None
         regained = self._regained.get(action)
         if regained is None:
             return cause
         if cause is not None:  # perhaps nothing was feasible in between
             return max(cause, regained, key=lambda news: news.time)
-        plan = self._new_task_plan()
-        if not self._was_given_up(action) or (plan is None and self._plans()):
-            return None  # or it is the next step of the plan
+        ended = [each for each in self._kb.history.actions if each.action == action and each.end]
+        is_step = self._new_task_plan() is None and self._plans()
+        if is_step or not ended or ended[-1].result == "completed":
+            return None
         if regained.time >= self._last_tick:
             return regained
         # it was feasible for a while, but had to wait until something else ended
-        if plan is not None and not self._steps.issuperset(plan.steps):
-            return self._cause_of_task_plan(plan)
         since = f"{regained.reason} (since {regained.time:.1f} s: {regained.text})"
-        return News(time, f"{before} is over", regained.events, since)
-
-    def _was_given_up(self, action: str) -> bool:
-        for record in reversed(self._kb.history.actions):
-            if record.action == action and record.end is not None:
-                return record.result != "completed"
-        return False
+        return News(begun.time, f"{before} is over", regained.events, since)
 
     def _settle_task_plans(self, *, is_reported: bool) -> None:
         """Enter a task plan with new steps, unless its first action was reported."""
@@ -345,6 +330,13 @@ class AdaptationLog:
         self._open.append(entry)
         return entry
 
+    def _is_over(self, entry: Adaptation) -> bool:
+        """Return whether the robot is configured for it, or a tick has passed since it was."""
+        acted_s = max([entry.at_s, *(plan.end or inf for _, plan in entry.plans)])
+        action = self._kb.actions.get(entry.action)
+        is_solved = action is None or action.status is Status.SOLVED
+        return is_solved or self._last_tick >= acted_s
+
     def _close(self, entries: Sequence[Adaptation]) -> None:
         for entry in entries:
             self._open.remove(entry)
@@ -359,8 +351,7 @@ class AdaptationLog:
         """Return what a plan commands, in words: plain components take no commands."""
         parts = []
         for verb, names in (("stop", plan.deactivate), ("start", plan.activate)):
-            kinds = {name: self._kb.components[name].kind for name in names}
-            commanded = [name for name in names if kinds[name] is not ComponentKind.PLAIN]
+            commanded = [name for name in names if name not in plan.plain]
             if commanded:
                 parts.append(f"{verb} {', '.join(commanded)}")
         for name in plan.parameters:

@@ -77,7 +77,6 @@ class Script(NamedTuple):
     fail_first: float = 0
     hangs: bool = False
     lies: bool = False
-    crash_after: float = inf
 
 
 class Operation:
@@ -134,7 +133,6 @@ class SimulatedComponents:
         self._busy_until: dict[str, float] = {}
         self._under_way: list[tuple[float, int, Operation]] = []  # a heap
         self._numbers = count()
-        self._crashes: dict[str, Operation] = {}
 
     def script(
         self,
@@ -144,7 +142,6 @@ class SimulatedComponents:
         fail_first: float = 0,
         hangs: bool = False,
         lies: bool = False,
-        crash_after: float = inf,
     ) -> Self:
         """Script how a component behaves from now on; replaces scripts for the same commands.
 
@@ -155,7 +152,6 @@ class SimulatedComponents:
             fail_first: how many commands of each kind fail; `math.inf` for all.
             hangs: commands never end.
             lies: commands are reported as done, but have no effect.
-            crash_after: how long after each start the component stops by itself [s].
 
         Returns:
             The system, for the next script.
@@ -163,11 +159,11 @@ class SimulatedComponents:
         Raises:
             ValueError: no such command, or a number below 0.
         """
-        for number in (takes or 0.0, fail_first, crash_after):
-            checked_times(dict.fromkeys(verbs or VERBS, number))
         for verb in verbs or VERBS:
+            checked_times({verb: takes or 0.0})
+            checked_times({verb: fail_first})
             self._counts[verb, component] = 0
-            self._scripts[verb, component] = Script(takes, fail_first, hangs, lies, crash_after)
+            self._scripts[verb, component] = Script(takes, fail_first, hangs, lies)
         return self
 
     @property
@@ -176,10 +172,12 @@ class SimulatedComponents:
         return tuple(dict.fromkeys(component for _, component in self._scripts))
 
     def activate(self, component: str, /) -> Operation:
-        return self._command("activate", component, {}, partial(self._start, component))
+        effect = partial(self._components.activate, component)
+        return self._command("activate", component, {}, effect)
 
     def deactivate(self, component: str, /) -> Operation:
-        return self._command("deactivate", component, {}, partial(self._stop, component))
+        effect = partial(self._components.deactivate, component)
+        return self._command("deactivate", component, {}, effect)
 
     def set_parameters(self, component: str, parameters: Parameters, /) -> Operation:
         copy = dict(parameters)
@@ -196,7 +194,7 @@ class SimulatedComponents:
         return self._components.parameters(component)
 
     def next_event(self) -> float:
-        """When a command that is under way ends next, or a component crashes [s]; or infinity."""
+        """When a command that is under way ends next [s]; infinity if there is none."""
         self.catch_up()
         return self._under_way[0][0] if self._under_way else inf
 
@@ -207,19 +205,6 @@ class SimulatedComponents:
             heapq.heappop(self._under_way)[2].finish()
             is_any = True
         return is_any
-
-    def _start(self, component: str) -> None:
-        was_active = self._components.is_active(component)
-        self._components.activate(component)
-        crash_after = self._script("activate", component).crash_after
-        if not was_active and crash_after < inf:
-            stop = partial(self._components.deactivate, component)
-            self._crashes[component] = self._enter(self._clock() + crash_after, stop)
-
-    def _stop(self, component: str) -> None:
-        self._components.deactivate(component)
-        if component in self._crashes:
-            self._crashes.pop(component).cancel()
 
     def _command(
         self, verb: str, component: str, parameters: Parameters, effect: Callable[[], object]
@@ -239,9 +224,6 @@ class SimulatedComponents:
         takes = self.takes.get(verb, 0.0) if script.takes is None else script.takes
         end = max(now, self._busy_until.get(component, 0.0)) + takes
         self._busy_until[component] = end
-        return self._enter(end, effect)
-
-    def _enter(self, end: float, effect: Callable[[], object]) -> Operation:
         operation = Operation(effect, self.catch_up)
         heapq.heappush(self._under_way, (end, next(self._numbers), operation))
         return operation

@@ -8,7 +8,7 @@ from importlib import import_module
 from inspect import Parameter, signature
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeVar
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -43,19 +43,6 @@ class Condition(Behaviour):
 
 
 # ---------------------------------------------------------------- the world
-
-
-class Reaction(Protocol):
-    """A reaction to an uncertainty: its name, when it was first reported, and when applied [s]."""
-
-    @property
-    def uncertainty(self) -> str: ...
-    @property
-    def start_s(self) -> float: ...
-    @property
-    def end_s(self) -> float: ...
-    @property
-    def delay_s(self) -> float: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +113,8 @@ class World(ABC):
         """Return the mission's figures up to now, units in the names; None: did not happen."""
         return {}
 
-    def reactions(self) -> Sequence[Reaction]:
-        """Return the reactions to uncertainties, in the order of their ends."""
+    def reactions(self) -> Sequence[Any]:
+        """Return the reactions to uncertainties: objects with uncertainty, start_s and delay_s."""
         return ()
 
     def sample(self) -> Sample | None:
@@ -147,7 +134,13 @@ class World(ABC):
 
 
 class WorldKind(ABC):
-    """How a world is opened; what it needs is imported only then."""
+    """How a world is opened; what it needs is imported only then.
+
+    Attributes:
+        managers: managers that only this world has, as "package:Class" by name.
+    """
+
+    managers: ClassVar[Mapping[str, str]] = {}
 
     @abstractmethod
     def open(self, values: Mapping[str, str], rng: "Generator") -> World:
@@ -184,7 +177,6 @@ _FIELDS: Final[Mapping[str, tuple[Any, str]]] = {
 _PARAMETERS: Final = {
     "model": "",
     "tree": "kb, percepts",
-    "by_hand": "kb, percepts, managed",
     "facts": "kb, percepts",
     "why_not": "kb, percepts",
     "world.open": "values, rng",
@@ -213,7 +205,6 @@ class Mission:
         fixed: settings of the world that belong to this mission.
         why_not: returns why the goal cannot be reached, by what is known and was sensed; empty if
             it cannot tell. With a reason, the mission ends as soon as its world `is_still`.
-        by_hand: builds a tree that commands the managed system itself, for `--manager bt`.
         selects: whether the task layer selects configurations, so that only ours can manage it.
 
     Raises:
@@ -233,7 +224,6 @@ class Mission:
     engines: tuple[str, ...] = ()
     fixed: Mapping[str, str] = field(default_factory=dict)
     why_not: Callable[[KnowledgeBase, Percepts], str] = lambda kb, percepts: ""
-    by_hand: Callable[[KnowledgeBase, Percepts, ManagedSystem], Behaviour] | None = None
     selects: bool = False
 
     def __post_init__(self) -> None:
@@ -241,7 +231,7 @@ class Mission:
             self._check(name, isinstance(getattr(self, name), kind), expected)
         for name, parameters in _PARAMETERS.items():
             function = attrgetter(name)(self)
-            if function is None and name in ("tree", "by_hand"):
+            if function is None and name == "tree":
                 continue
             self._check(name, callable(function), "a function")
             try:
@@ -340,6 +330,15 @@ def split_settings(
 
 MISSIONS: Final = {name: f"missions.{name}:MISSION" for name in SUMMARIES}
 """Where each registered mission is defined."""
+SEA_MANAGERS: Final = {
+    "none": "missions.baselines.modes:NoManager",
+    "random": "missions.baselines.modes:RandomManager",
+    "bt": "missions.baselines.modes:TreeManager",
+    "metacontrol": "missions.baselines.modes:Metacontrol",
+    "rosa": "missions.baselines.rosa:RosaManager",
+    "ahead": "missions.baselines.rosa:LookaheadManager",
+}
+"""Where the managers of the sea's vehicle are defined."""
 _OWN: Final = f"{', '.join(MISSIONS)}; one of your own is "
 
 

@@ -25,7 +25,7 @@ from rosa_pddl import (
     load_domain,
 )
 from rosa_pddl.belief import assumptions, without_hopeless
-from rosa_pddl.domain import nearest, without_feasibility
+from rosa_pddl.domain import without_feasibility
 from rosa_pddl.reader import conditions
 from rosa_pddl.replanning import diagnosis
 
@@ -42,7 +42,6 @@ class Question:
         numbers: numeric facts for costs and limits, as far as the mission knows them.
         engines: names of planning engines; empty: those that the domain needs.
         why_not: returns why there is no plan, as far as the mission can tell; empty if it cannot.
-        is_assumed: whether it is assumed which actions are feasible.
     """
 
     domain: Domain
@@ -53,7 +52,6 @@ class Question:
     numbers: Mapping[str, float] = field(default_factory=dict)
     engines: tuple[str, ...] = ()
     why_not: Callable[[], str] = str
-    is_assumed: bool = False
 
     @property
     def problem(self) -> Problem:
@@ -66,9 +64,7 @@ class Question:
 
     def problem_without(self, unfeasible: Iterable[str]) -> Problem:
         """Return the problem in which exactly these ROSA actions are unfeasible."""
-        domain = self.domain
-        if not self.is_assumed:  # where it is assumed, nobody knows why the rest is not feasible
-            domain = without_hopeless(domain, self.kb)
+        domain = without_hopeless(self.domain, self.kb)
         left_out = set(unfeasible)
         feasible = {atom for atom, action in domain.feasibility.items() if action not in left_out}
         goals = tuple(goal.expression for goal in self.goals)
@@ -88,9 +84,9 @@ def ask(
     files: Sequence[Path] = (),
     mission: Mission | None = None,
     models: Sequence[Path] = (),
+    kb: KnowledgeBase | None = None,
     *,
     situation: Iterable[str] = (),
-    feasible: Iterable[str] | None = None,
     goals: Sequence[str] = (),
 ) -> Question:
     """Build a question from a domain and a problem file, or from a mission, which has a model.
@@ -99,11 +95,10 @@ def ask(
         files: the two PDDL files; none for a mission.
         mission: the mission to plan for, if no files are given.
         models: files of the model that says what is feasible. Without a model every ROSA action is
-            feasible, unless `feasible` or the problem file says otherwise.
+            feasible, unless the problem file says otherwise.
+        kb: of the robot that is to do the plan, if it runs.
         situation: assumed facts, such as "battery_level=0.2", or "camera=failed" for a component;
             also several, separated by commas.
-        feasible: the ROSA actions that are feasible, all others are not; also several, separated by
-            commas. None: the knowledge base decides.
         goals: conditions as text, which replace the goal of the problem.
 
     Raises:
@@ -117,28 +112,27 @@ def ask(
     else:
         hint = "give a domain and a problem file, or a mission with --mission NAME"
         raise MissionError(f"nothing to plan; {hint}")
-    has_model = bool(models or mission)
     assumed = [part.strip() for text in situation for part in text.split(",")]
-    if assumed and not has_model:
-        hint = "name its file with --model FILE, or a mission"
-        raise MissionError(f"a situation is about a model; {hint}")
-    if assumed and feasible is not None:
-        hint = "give --feasible or --situation, not both"
-        raise MissionError(f"what is feasible follows from the situation; {hint}")
     if not all(text.strip() for text in goals):
         hint = "give a condition such as '(found it)', or leave it out"
         raise MissionError(f"--goal is empty; {hint}")
-    kb = KnowledgeBase(_model(domain, mission, models), clock=lambda: 0.0)
+    if models:
+        kb = KnowledgeBase(Model.load(models), clock=lambda: 0.0)
+    elif mission is not None and kb is None:
+        kb = KnowledgeBase(mission.model(), clock=lambda: 0.0)
+    elif assumed:
+        hint = "name its file with --model FILE, or a mission"
+        raise MissionError(f"a situation is about a model; {hint}")
+    elif kb is None:
+        kb = _as_stated(domain)
     oversights = domain.check(kb)
     for text in assumed:
         _assume(kb, text)
-    _assume_feasible(kb, domain, feasible, has_model)
     percepts = Percepts()  # nothing is sensed yet, so a fact that is false may only be unknown
     facts = {} if mission is None else mission.facts(kb, percepts)
     true = {domain.atom(text) for text, value in facts.items() if value is True}
     # a goal may be several conditions side by side
     texts = [f"(and {text})" for text in goals] if goals else domain.goals
-    has_reasons = mission is not None and not goals
     return Question(
         domain,
         kb,
@@ -147,8 +141,7 @@ def ask(
         oversights,
         {text: value for text, value in facts.items() if not isinstance(value, bool)},
         mission.engines if mission else (),
-        partial(mission.why_not, kb, percepts) if mission and has_reasons else str,
-        feasible is not None,
+        partial(mission.why_not, kb, percepts) if mission and not goals else str,
     )
 
 
@@ -169,45 +162,19 @@ def _assume(kb: KnowledgeBase, text: str) -> None:
     kb.measure(name, number)
 
 
-def _model(domain: Domain, mission: Mission | None, models: Sequence[Path]) -> Model:
-    if models:
-        return Model.load(models)
-    if mission is not None:
-        return mission.model()
+def _as_stated(domain: Domain) -> KnowledgeBase:
+    """Return a base without a model: all is feasible, or what the problem file says."""
     model = Model(domain.name)
     for action in domain.rosa_actions:
         model.action(action)
-    return model
-
-
-def _assume_feasible(
-    kb: KnowledgeBase, domain: Domain, texts: Iterable[str] | None, has_model: bool
-) -> None:
-    """Assert which actions are feasible, if the texts say so or, without a model, the problem."""
-    if texts is not None:
-        feasible = _actions_of(domain, texts)
-        reason = "it is not among those given as feasible"
-    else:
-        stated = [atom for atom in initial_state(domain) if domain.is_feasibility(atom)]
-        if has_model or not stated:
-            return
-        feasible = {domain.feasibility[atom] for atom in stated}
-        reason = "the problem file does not state that it is feasible"
+    kb = KnowledgeBase(model, clock=lambda: 0.0)
+    stated = [atom for atom in initial_state(domain) if domain.is_feasibility(atom)]
+    feasible = {domain.feasibility[atom] for atom in stated}
     for action in domain.rosa_actions:
-        if kb.is_feasible(action) != (action in feasible):
-            status = "feasible" if action in feasible else "unfeasible"
-            kb.assert_status(kb.actions[action], status, reason)
-
-
-def _actions_of(domain: Domain, texts: Iterable[str]) -> set[str]:
-    """Return the ROSA actions that are named, whatever the case of their letters."""
-    by_name = {action.lower(): action for action in domain.rosa_actions}
-    names = [name.strip() for text in texts for name in text.split(",") if name.strip()]
-    for name in names:
-        if name.lower() not in by_name:
-            message = f"--feasible names {name!r}, which is no ROSA action of {domain.file}"
-            raise MissionError(f"{message}; {nearest(name, domain.rosa_actions)}")
-    return {by_name[name.lower()] for name in names}
+        if stated and action not in feasible:
+            reason = "the problem file does not state that it is feasible"
+            kb.assert_status(kb.actions[action], "unfeasible", reason)
+    return kb
 
 
 def answer(question: Question, timeout_s: float) -> Answer:
@@ -249,8 +216,6 @@ def certified(question: Question, timeout_s: float, failures: int | None) -> Cer
 def _plan(question: Question, planner: Planner) -> PlanningResult:
     """Plan without promises that cannot be kept, with what the plan assumes."""
     result = planner.plan(question.problem)
-    if question.is_assumed:
-        return result
     state = question.problem.state
     sentences = assumptions(question.domain, question.kb, result.steps, state)
     return replace(result, assumptions=sentences)

@@ -1,14 +1,12 @@
 """One run of a mission: a world and what decides in it, in lock-step with the world's clock."""
 
 from abc import ABC, abstractmethod
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from functools import partial
-from math import isfinite, nan
+from math import inf, nan
 from numbers import Real
-from time import perf_counter
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple
 
 from py_trees.common import Status
 from py_trees.trees import BehaviourTree
@@ -30,21 +28,33 @@ from missions.engine.mission import (
     TIME_LIMIT,
     Mission,
     MissionError,
-    Reaction,
     Sample,
     Verdict,
     World,
     blamed,
     built,
+    load,
+    needs,
+    split_settings,
 )
 from missions.engine.percepts import Message, Percepts, check_message
-from missions.engine.settings import RunSettings
-from missions.engine.task_layer import build_task
+from missions.engine.settings import RunSettings, Setting
+from missions.engine.task_layer import TASK_KINDS, build_task, check_task
 from rosa_bt import TreeRunner
 from rosa_pddl import PlanRecord
 
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
 OURS: Final = "ours"
 """The manager name of our own: knowledge base, configuration manager, and either task layer."""
+POLICIES: Final = {
+    OURS: "missions.engine.runner:Ours",
+    "none": "missions.baselines.policies:Unmanaged",
+    "random": "missions.baselines.policies:Random",
+    "fixed": "missions.baselines.policies:Fixed",
+}
+"""Where the managers of every mission are defined."""
 SAMPLE_PERIOD_S: Final = 0.5
 STANDSTILL: Final = 10_000
 """A world stands still if it is asked this often to go on and less than a millisecond passes."""
@@ -88,7 +98,6 @@ class MissionRun(ABC):
         problems: parts of messages that could not be used, with their times [s].
         faults: the faults that are injected.
         inputs: figures of published results that the manager uses, by name.
-        compute_s: computing time on this machine by part [s]; no decision depends on it.
         listeners: those that are notified.
         early_verdict: if set, the run ends at once with this verdict.
         findings: what may be mistakes in the PDDL, as sentences; complete at the end.
@@ -116,24 +125,16 @@ class MissionRun(ABC):
         self.model = built(f"the model of mission {mission.name}", Model, mission.model)
         self.faults = FaultInjector(self.model, settings.duration_s)
         self.problems: list[tuple[float, DiagnosticProblem]] = []
-        self.compute_s = defaultdict[str, float](float, world=0.0)
         self.adaptations: list[Adaptation] = []
-        self._moved_s = _time_of(world)
+        self._moved_s = -inf
         self._turns = 0
-        self._decisions: list[tuple[float, float]] = []  # time [s], computing time [s]
+        self._check_time(-inf)
         self._sampled_s = -SAMPLE_PERIOD_S
         self._last_plan: PlanRecord | None = None
 
     def listen(self, *listeners: Listener) -> None:
         """Add listeners."""
         self.listeners = (*self.listeners, *listeners)
-
-    @contextmanager
-    def spending(self, part: str) -> Iterator[None]:
-        """Add the computing time inside the block to that of a part."""
-        started = perf_counter()
-        yield
-        self.compute_s[part] += perf_counter() - started
 
     @property
     def kb(self) -> KnowledgeBase:
@@ -179,15 +180,6 @@ class MissionRun(ABC):
     @abstractmethod
     def verdict(self, results: Mapping[str, float | None]) -> Verdict:
         """Return how the mission has ended; called when it is over."""
-
-    @property
-    def reactions(self) -> Sequence[tuple[Reaction, float]]:
-        """Each reaction that the world reports, with the computing time during it [s]."""
-        reactions = []
-        for reaction in self.ask("reactions"):
-            spans = (s for time, s in self._decisions if reaction.start_s <= time < reaction.end_s)
-            reactions.append((reaction, sum(spans)))
-        return reactions
 
     def ask(self, method: str) -> Any:  # noqa: ANN401  # the type depends on the method
         """Call results, reactions, sample, disturbances or scenery of the world.
@@ -242,15 +234,10 @@ class MissionRun(ABC):
 
     def _turn(self) -> None:
         """Let the world go on to the next message, or to when something is due, and react."""
-        with self.spending("world"):
-            messages = self._advance(min(self.due, self.settings.duration_s))
-        now = self.world.now
-        spent_s = sum(self.compute_s.values())
-        for message in self.faults.alter(messages, now):
+        messages = self._advance(min(self.due, self.settings.duration_s))
+        for message in self.faults.alter(messages, self.world.now):
             self._receive(message)
-        is_decided = self.decide()
-        self._decisions.append((now, sum(self.compute_s.values()) - spent_s))
-        if is_decided and self.listeners:
+        if self.decide() and self.listeners:
             self._sample()
             for listener in self.listeners:
                 listener.tick(self)
@@ -275,19 +262,25 @@ class MissionRun(ABC):
             raise MissionError(f"{method} gives {messages!r:.100}; expected is {expected}")
         for message in messages:
             check_message(message, method)
-        now = _time_of(self.world)
-        if not isfinite(now) or now < before:
-            raise MissionError(f"{title} shows {now!r} s after {before!r} s; its time has to pass")
-        self._turns += 1
-        if now >= self._moved_s + 1e-3:
-            self._moved_s = now
+        self._check_time(before)
+        if self.world.now >= self._moved_s + 1e-3:
+            self._moved_s = self.world.now
             self._turns = 0
-        elif self._turns > STANDSTILL:
+        self._turns += 1
+        if self._turns > STANDSTILL:
             raise MissionError(
-                f"{title} stands still at {now:.3f} s, asked to go on to {until:.3f} s; advance() "
-                "goes on until something is published, a command has ended, or to that time"
+                f"{title} stands still at {before:.3f} s, asked to go on to {until:.3f} s; "
+                "advance() goes on until something is published, a command ends, or to that time"
             )
         return messages
+
+    def _check_time(self, before: float) -> None:
+        now: Any = self.world.now
+        title = f"now of {type(self.world).__name__}"
+        if not isinstance(now, Real):
+            raise MissionError(f"{title} is {now!r:.100}; expected is the time, a number [s]")
+        if not before <= float(now) < inf:
+            raise MissionError(f"{title} shows {now!r} s after {before!r} s; its time has to pass")
 
     def _receive(self, message: Message) -> None:
         problems = self.receive(message)
@@ -314,20 +307,11 @@ class MissionRun(ABC):
             listener.sample(sample)
 
 
-def _time_of(world: World) -> float:
-    now: float = world.now
-    if not isinstance(now, Real):
-        title = f"now of {type(world).__name__}"
-        raise MissionError(f"{title} is {now!r:.100}; expected is the time, a number [s]")
-    return now
-
-
 class RosaRun(MissionRun):
     """The run of our own: the knowledge base, the configuration manager and the task layer.
 
     Args:
         planner: chooses the configurations; None: by priority.
-        hears: replaces each message before it is received.
         on_error: as of `rosa_bt.TreeRunner`: a behaviour that raises fails, or the run raises.
 
     Attributes:
@@ -347,15 +331,13 @@ class RosaRun(MissionRun):
         settings: RunSettings,
         manager: str = OURS,
         planner: ConfigurationPlanner | None = None,
-        hears: Callable[[Message], Message] = lambda message: message,
         on_error: Literal["fail", "raise"] = "fail",
     ) -> None:
         super().__init__(mission, world, settings, manager, task)
         self.percepts = Percepts()
-        self._hears = hears
         self._kb = KnowledgeBase(self.model, clock=self._now)
         self._manager = ConfigurationManager(self._kb, world.managed, planner=planner)
-        self._task = build_task(task, mission, self._kb, self.percepts, settings.planning_delay_s)
+        self._task = build_task(task, mission, self._kb, self.percepts, settings)
         plans = self._task.plans if self._task.is_planned else tuple
         self._log = AdaptationLog(self._kb, self._on_adaptation, plans)
         self._log.is_listening = False
@@ -394,29 +376,23 @@ class RosaRun(MissionRun):
         return self._task.plans()
 
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
-        with self.spending("knowledge base"):
-            heard = self._hears(message)
-            if heard is not message:
-                check_message(heard, f"hear() of manager {self.manager}")
-            self._log.is_listening = True
-            try:
-                problems = self._kb.receive(heard)
-            finally:
-                self._log.is_listening = False
-            for key in self.percepts.receive(heard):
-                self._log.sensed(f"{key} is {str(self.percepts.holds(key)).lower()}")
+        self._log.is_listening = True
+        try:
+            problems = self._kb.receive(message)
+        finally:
+            self._log.is_listening = False
+        for key in self.percepts.receive(message):
+            self._log.sensed(f"{key} is {str(self.percepts.holds(key)).lower()}")
         return problems
 
     def decide(self) -> bool:
         is_due = self._now() >= self._runner.due
         if is_due or self._kb.revision != self._revision or self._kb.pending_plan is not None:
             self._manage()  # between ticks, only a changed status or an open plan needs the manager
-        with self.spending("waiting for plans"):
-            self._task.catch_up()
-        with self.spending("task layer"):
-            if is_due:
-                self._log.ticking(self._now())
-            is_ticked = is_due and self._runner.update()
+        self._task.catch_up()
+        if is_due:
+            self._log.ticking(self._now())
+        is_ticked = is_due and self._runner.update()
         if is_ticked and self._kb.revision != self._revision:
             self._manage()
         if is_ticked and self.world.is_still and self._kb.pending_plan is None:
@@ -460,10 +436,9 @@ class RosaRun(MissionRun):
         return self.world.now
 
     def _manage(self) -> None:
-        with self.spending("manager"):
-            self._manager.update()
-            self._log.settle()
-            self._revision = self._kb.revision
+        self._manager.update()
+        self._log.settle()
+        self._revision = self._kb.revision
 
     def on_plan(self, plan: PlanRecord) -> None:
         super().on_plan(plan)
@@ -479,3 +454,133 @@ class RosaRun(MissionRun):
         if event.kind is EventKind.ACTION_UPDATE:
             for listener in self.listeners:
                 listener.action(event.text, event.time)
+
+
+# ---------------------------------------------------------------- managers, and opening a run
+
+
+class Opening(NamedTuple):
+    """What a run is opened with; see `open_run`.
+
+    Attributes:
+        manager: its name.
+        rng: random generator of the manager, its only source of chance.
+        options: values of the manager's options by name.
+    """
+
+    manager: str
+    mission: Mission
+    task: str
+    world: World
+    settings: RunSettings
+    rng: "Generator"
+    options: Mapping[str, Any]
+
+
+class ManagerBase(ABC):
+    """What every manager declares, and how a run under it is opened.
+
+    Attributes:
+        tasks: names of the task layers that it goes with.
+        options: settings of the manager that can be set from outside.
+    """
+
+    tasks: ClassVar[tuple[str, ...]] = TASK_KINDS
+    options: ClassVar[tuple[Setting, ...]] = ()
+
+    @classmethod
+    def refusal(cls, mission: Mission) -> str:
+        """Return why this manager cannot manage a mission; empty if it can."""
+        if not mission.selects:
+            return ""
+        title = f"the task layer of mission {mission.name}"
+        return f"{title} selects configurations; run it under {OURS}"
+
+    @classmethod
+    @abstractmethod
+    def open(cls, opening: Opening) -> MissionRun:
+        """Return a run under this manager."""
+
+
+class Ours(ManagerBase):
+    """Knowledge base, configuration manager, and either task layer."""
+
+    @classmethod
+    def refusal(cls, mission: Mission) -> str:
+        return ""
+
+    @classmethod
+    def open(cls, opening: Opening) -> RosaRun:
+        return RosaRun(opening.mission, opening.task, opening.world, opening.settings)
+
+
+ManagerType = type[ManagerBase]
+
+
+def find_manager(name: str | ManagerType, mission: Mission) -> ManagerType:
+    """Return the class of a manager by its name, by "package:Class", or as the class itself.
+
+    Raises:
+        MissionError: no such manager, or it does not go with the mission; lists those that exist.
+    """
+    manager: Any = name
+    if isinstance(name, str):
+        homes = {**POLICIES, **mission.world.managers}
+        own = "one of your own is given as package:Class"
+        manager = load("manager", name, homes, f"{', '.join(homes)} in {mission.name}; {own}")
+    if not (isinstance(manager, type) and issubclass(manager, ManagerBase)):
+        title = getattr(name, "__name__", name)
+        raise MissionError(f"{title!r} is no subclass of missions.baselines.Policy or Manager")
+    refusal = manager.refusal(mission)
+    if refusal:
+        raise MissionError(refusal)
+    return manager
+
+
+def open_run(
+    mission: Mission,
+    *,
+    manager: str | ManagerType = OURS,
+    task: str | None = None,
+    seed: int = 0,
+    settings: Mapping[str, str] | None = None,
+) -> MissionRun:
+    """Open a run; the same mission, seed and settings give the same world under every manager.
+
+    Args:
+        mission: what to run.
+        manager: the name of a manager, "package:Class", or the class itself.
+        task: our task layer, "bt" or "pddl", by default the mission's; some managers have none.
+        seed: seed of all chance in the run.
+        settings: values that differ from the defaults; a unit at the end of a name may be left out.
+
+    Raises:
+        MissionError: no such manager, task layer or setting, or they do not go together.
+    """
+    import numpy
+
+    kind = find_manager(manager, mission)
+    name = manager if isinstance(manager, str) else f"{kind.__module__}:{kind.__qualname__}"
+    if task is None:
+        task = kind.tasks[-1 if mission.tree is None else 0]
+    check_task(task)
+    if task not in kind.tasks:
+        raise MissionError(
+            f"--task {task} is a task layer of ours; --manager {name} comes without one"
+        )
+    run_settings, world_settings, options = split_settings(mission, settings or {}, kind.options)
+    rng = numpy.random.default_rng(seed)
+
+    def open_world() -> object:
+        with needs("sim", f"the world of {mission.name}"):
+            return mission.world.open(world_settings, rng)
+
+    title = f"what open() of {type(mission.world).__name__} gives"
+    world = built(title, World, open_world)  # type: ignore[type-abstract]  # only for isinstance
+    try:
+        with blamed(lambda: f"mission {mission.name} under manager {name}", is_authors=False):
+            chance = rng.spawn(1)[0]
+            return kind.open(Opening(name, mission, task, world, run_settings, chance, options))
+    except BaseException:
+        world.close()
+        raise

@@ -139,6 +139,9 @@ class RunSettings(Constants):
     planning_delay_s: float = setting(
         0.2, "s", "simulated time in which a plan is found", "own choice; PDDL only"
     )
+    plan_ahead: bool = setting(
+        False, "-", "plan no step that outlasts its action, by the forecasts", "PDDL only"
+    )
 
 
 def full_names(

@@ -11,8 +11,17 @@ from py_trees.decorators import Decorator, FailureIsRunning
 from kb import KnowledgeBase
 from missions.engine.mission import Mission, built
 from missions.engine.percepts import Percepts
-from missions.engine.settings import MissionError
-from rosa_pddl import Domain, PlanExecutor, Planner, PlanRecord, Step, load_domain, parse_domain
+from missions.engine.settings import MissionError, RunSettings
+from rosa_pddl import (
+    Domain,
+    LastingFeasibility,
+    PlanExecutor,
+    Planner,
+    PlanRecord,
+    Step,
+    load_domain,
+    parse_domain,
+)
 
 TASK_KINDS: Final = ("bt", "pddl")
 
@@ -74,9 +83,13 @@ def check_task(kind: str) -> None:
 
 
 def build_task(
-    kind: str, mission: Mission, kb: KnowledgeBase, percepts: Percepts, delay_s: float = 0.0
+    kind: str,
+    mission: Mission,
+    kb: KnowledgeBase,
+    percepts: Percepts,
+    settings: RunSettings | None = None,
 ) -> TaskLayer:
-    """Build the task layer "bt" or "pddl"; finding a plan takes `delay_s` of simulated time [s].
+    """Build the task layer "bt" or "pddl"; only the latter has settings.
 
     Raises:
         MissionError: no such kind, or the mission has no task logic of that kind.
@@ -88,6 +101,7 @@ def build_task(
             raise MissionError(f"mission {mission.name} has no tree; {hint}")
         build = partial(mission.tree, kb, percepts)
         return TaskLayer(built(f"the tree of mission {mission.name}", Behaviour, build))  # type: ignore[type-abstract]  # only for isinstance
+    settings = settings or RunSettings()
     domain = mission_domain(mission)
     engine, *fallback = mission.engines or (None,)
     planner = Planner(engine, fallback=[name for name in fallback if name])
@@ -100,13 +114,13 @@ def build_task(
         factories[schema] = _factory(schema, action, kb, percepts, errors)
     executor = PlanExecutor(
         f"plan for {mission.name}",
-        kb=kb,
+        kb=LastingFeasibility(kb, domain) if settings.plan_ahead else kb,
         domain=domain,
         behaviours=factories,
         sense=lambda: mission.facts(kb, percepts),
         clock=lambda: kb.now,
         planner=planner,
-        delay_s=delay_s,
+        delay_s=settings.planning_delay_s,
     )
     return TaskLayer(FailureIsRunning("until the goal holds", executor), planner.close, errors)
 

@@ -51,7 +51,7 @@ def do(run: PlannedRun) -> Outcome:
         record = {name: value for name, value in data.items() if not isinstance(value, dict | list)}
         record |= {**_head(run), "adaptations": len(data["adaptations"])}
         record["reactions"] = [[*reaction.values()] for reaction in data["reactions"]]
-        timing = {"wall_s": time.perf_counter() - started, "compute_s": dict(opened.compute_s)}
+        timing = {"wall_s": time.perf_counter() - started}
         return Outcome(run.place, provenance()["code"], {**_head(run), **record}, timing)
 
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from kb import KnowledgeBase
 from missions.engine.components import VERBS, SimulatedComponents
 from missions.engine.mission import (
+    SEA_MANAGERS,
     Message,
     MissionError,
     Percepts,
-    Reaction,
     Sample,
     Setting,
     Verdict,
@@ -70,7 +70,7 @@ class Sea(World):
 
         return {**asdict(self._env.metrics), **mean_reactions(self._env.reactions)}
 
-    def reactions(self) -> Sequence[Reaction]:
+    def reactions(self) -> Sequence[Any]:
         return self._env.reactions
 
     def sample(self) -> Sample:
@@ -98,6 +98,8 @@ class Sea(World):
 
 
 class _SeaKind(WorldKind):
+    managers = SEA_MANAGERS
+
     def settings(self) -> tuple[Setting, ...]:
         from suave_env import Settings
 

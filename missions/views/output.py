@@ -123,7 +123,8 @@ def summary(
         ],
         **({"plans_from": run.plans[0].number} if run.plans and run.plans[0].number > 1 else {}),
         "reactions": [
-            _fields(reaction, "uncertainty", "start_s", "delay_s") for reaction, _ in run.reactions
+            _fields(reaction, "uncertainty", "start_s", "delay_s")
+            for reaction in run.ask("reactions")
         ],
         "disturbances": [{"at_s": time, "what": text} for time, text in run.disturbances()],
         "diagnostics_problems": [
@@ -157,20 +158,6 @@ def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401  # w
     if isinstance(value, list | tuple):
         return [plain(part, digits) for part in value]
     return str(value)
-
-
-def timing_of(run: MissionRun, wall_s: float) -> dict[str, Any]:
-    """Return the wall and compute times of a run, its parts and its reactions [s]."""
-    return {
-        "simulated_s": run.world.now,
-        "wall_s": wall_s,
-        "simulated_s_per_wall_s": run.world.now / wall_s,
-        "compute_s": run.compute_s,
-        "reactions": [
-            _fields(reaction, "uncertainty", "start_s") | {"compute_s": took_s}
-            for reaction, took_s in run.reactions
-        ],
-    }
 
 
 def figure_in_words(

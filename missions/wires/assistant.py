@@ -98,9 +98,8 @@ class Assistant:
 
         if self._mission is None:
             raise MissionError("this robot has no mission in PDDL to plan for")
-        feasible = self._kb.selectable_actions()
         goals = [goal] if goal else []
-        reply = answer(ask(mission=self._mission, feasible=feasible, goals=goals), _PLANNING_S)
+        reply = answer(ask(mission=self._mission, kb=self._kb, goals=goals), _PLANNING_S)
         return {
             "outcome": str(reply.result.outcome),
             "steps": [str(step) for step in reply.result.steps],

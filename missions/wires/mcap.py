@@ -389,7 +389,7 @@ def read_page(path: str | Path) -> Recorded:
         advice = f"rosa replay {path} --mission NAME --report FILE.html shows it"
         raise MissionError(f"{path} is not rosa's own; {advice}")
     now = [0.0]
-    kb = KnowledgeBase(recorded_model(bag), clock=lambda: now[0])
+    kb = KnowledgeBase(Model.from_plain(bag.run["elements"]), clock=lambda: now[0])
     recorder = Recorder(kb, header=bag.run["page"])
     rows = deque(bag.rows)
     for event in [*bag.events, None]:
@@ -403,11 +403,6 @@ def read_page(path: str | Path) -> Recorded:
     recorder.close()
     note = f"{bag.cut}; all before that is shown" if bag.cut else ""
     return replace(recorder.recorded, note=note)
-
-
-def recorded_model(bag: Bag) -> Model:
-    """Return the model of one of our recordings; kb.ModelError if it cannot be read any more."""
-    return Model.from_plain(bag.run["elements"])
 
 
 def messages(path: str | Path, bag: Bag) -> Iterator[Raw]:

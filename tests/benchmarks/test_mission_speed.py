@@ -29,8 +29,6 @@ def wholes(tables):
         "extended SUAVE, 300 s",
         "processor time",
         "times real time",
-        "of it the sea",
-        "where the rest goes",
     )
     tables["0"] = lambda: table("A whole mission", head, found.values())
     return found
@@ -39,38 +37,32 @@ def wholes(tables):
 @pytest.mark.parametrize("label", ["physics alone", "the sea alone", *WHOLE])
 def test_speed_of_a_whole_mission(label, wholes):
     runs = [whole(label, seed) for seed in range(MISSION_ROUNDS)]
-    took, parts = min(runs, key=lambda run: run[0])
-    sea = parts.pop("world", None)
-    total = sum(parts.values()) + (sea or 0.0)
-    rest = ", ".join(
-        f"{name} {part / total:.0%}" for name, part in parts.items() if part > 0.01 * total
-    )
-    share = f"{sea / total:.0%}" if sea else None
-    wholes[label] = (label, shown(took), f"{MISSION_S / took:,.0f}", share, rest or None)
+    took = min(runs)
+    wholes[label] = (label, shown(took), f"{MISSION_S / took:,.0f}")
 
 
 def whole(label, seed):
-    """Return the processor time of a mission without set-up [s], and the shares of its parts."""
+    """Return the processor time of a mission without set-up [s]."""
     if label in WHOLE:
         run = open_run(find_mission("suave_extended"), seed=seed, **WHOLE[label])
         start = process_time()
         verdict = run.run()
         took = process_time() - start
         assert verdict.success or label == "none", verdict  # which never recharges
-        return took, dict(run.compute_s)
+        return took
     sea = find_mission("suave_extended").world.open({}, numpy.random.default_rng(seed))
     if label == "the sea alone":
         sea.managed.activate("spiral_search")
         start = process_time()
         while sea.now < MISSION_S:
             sea.advance(MISSION_S)
-        return process_time() - start, {}
+        return process_time() - start
     vehicle = sea._env._vehicle
     settings = sea.settings
     start = process_time()
     for _ in range(round(MISSION_S / settings.control_period_s)):
         vehicle.push([0.0] * 6)
-    return process_time() - start, {}
+    return process_time() - start
 
 
 PLACES = ("suave_extended", "agv", "uav")

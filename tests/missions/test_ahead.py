@@ -1,8 +1,9 @@
-"""A lookahead above a plan executor: it plans anew for the detour that is worth most."""
+"""Plans that look ahead: by forecasts as timed facts, or below a lookahead."""
 
 from dataclasses import replace
 
 from py_trees.decorators import FailureIsRunning
+from running import run_mission
 
 from missions.baselines import open_run
 from missions.engine.mission import find_mission
@@ -43,3 +44,16 @@ def test_plan_executor_below_a_lookahead_recharges_early():
     done = ["search_pipeline", "inspect_pipeline", "recharge", "inspect_pipeline"]
     assert [action.action for action in run.actions] == done
     assert run.actions[2].start < 130, "before the battery is low, which is at 150 s"
+
+
+def test_plan_ahead_starts_no_inspection_that_it_cannot_finish():
+    settings = {"discharge_time": 100, "duration": 110}
+    unaware, _, _ = run_mission("suave_extended", "pddl", **settings)
+    ahead, _, _ = run_mission("suave_extended", "pddl", plan_ahead="true", **settings)
+    done = [(action.action, action.result) for action in unaware.actions]
+    assert done[:2] == [("search_pipeline", "completed"), ("inspect_pipeline", "abandoned")]
+    done = [(action.action, action.result) for action in ahead.actions]
+    assert done[:2] == [("search_pipeline", "completed"), ("recharge", "completed")]
+    first, second = ahead.plans[:2]
+    assert (first.engine, second.engine) == ("search", "kairos")
+    assert "too late" in second.reason

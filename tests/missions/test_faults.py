@@ -81,7 +81,7 @@ def test_recorded_faults_are_replayed(capsys, monkeypatch, tmp_path, suffix):
     faults = ("--fail", "c_thruster_2@20", "--recover", "c_thruster_2@26", *BATTERY)
     files = ("--record", recording, "--json", data)
     called(capsys, monkeypatch, "run", "suave_extended", *faults, *files)
-    code, out, _ = called(capsys, monkeypatch, "replay", recording, "--heard")
+    code, out, _ = called(capsys, monkeypatch, "replay", recording)
     assert code == 0
     assert "c_thruster_2 has failed" in out
     begun = [action["name"] for action in json.loads(data.read_text())["actions"]]

@@ -16,13 +16,8 @@ from running import called
 
 from kb import KnowledgeBase
 from missions.baselines import Policy, open_run
-from missions.commands.new import TEMPLATE
 from missions.engine.mission import Mission, MissionError, find_mission
 from missions.engine.recording import failed, measured
-from missions.experiments.campaign import Campaign, check_campaign, read_campaign
-from missions.experiments.report import write_report
-from missions.experiments.results import Results, Store
-from missions.experiments.workers import do
 from missions.views.output import figure_in_words
 from missions.wires.bridge import Bridge, BridgeSettings
 
@@ -117,7 +112,6 @@ def test_new_robot_passes_its_own_tests(new, tmp_path):
     [
         ("kb", [], "there is something named kb already"),
         ("my-robot", [], "'my-robot' cannot be one"),
-        ("class", [], "'class' cannot be one"),
         ("fine", ["--task", "htn"], "--task is 'htn'; there are bt, pddl and both"),
     ],
 )
@@ -131,12 +125,6 @@ def test_robot_that_cannot_be_written_is_refused_and_nothing_is(
     assert not list(tmp_path.iterdir())
 
 
-def test_every_template_is_written_by_some_variant():
-    from missions.commands.new import FILES
-
-    assert {path.name for path in TEMPLATE.iterdir()} == set(FILES)
-
-
 def ended(mission, manager, **settings):
     run = open_run(mission, manager=manager, settings=settings)
     return run.run().outcome, run.results()["explored_m"], len(run.adaptations)
@@ -145,7 +133,6 @@ def ended(mission, manager, **settings):
 def test_other_managers_run_a_new_mission(new):
     mission = find_mission(f"{new('--task', 'both')}:MISSION")
     assert ended(mission, "ours")[0] == "explored_all"
-    assert ended(mission, "bt")[::2] == ("explored_all", 0)
     outcome, explored_m, adaptations = ended(mission, "none")
     assert (outcome, adaptations) == ("aborted", 0)
     assert (
@@ -175,12 +162,11 @@ def test_manager_of_ones_own_chooses_in_any_mission(new):
     assert {name for plan in run.kb.plans for name in plan.parameters} == {"night"}
 
 
-def test_failures_are_sensed_where_nothing_adapts(new):
+def test_all_stays_feasible_where_nothing_adapts(new):
     run = open_run(find_mission(f"{new()}:MISSION"), manager="none")
     for message in (measured(0.0, energy=0.0), failed(0.0, "camera_node")):
         run.receive(message)
     assert run.kb.is_feasible("explore")
-    assert run.percepts.holds("camera_node has failed")
 
 
 @pytest.mark.parametrize(
@@ -189,10 +175,9 @@ def test_failures_are_sensed_where_nothing_adapts(new):
         (
             "uav",
             "rosa",
-            "there are ours, none, random, fixed, bt; "
-            "one of your own is given as package:Class; rosa manages",
+            "there are ours, none, random, fixed in uav; one of your own is given as package:Class",
         ),
-        ("uav", "bt", "mission uav has no hand-written tree"),
+        ("uav", "bt", "unknown manager 'bt'; there are ours"),
         ("agv", "none", "the task layer of mission agv selects configurations; run it under ours"),
         (
             "uav",
@@ -207,41 +192,12 @@ def test_manager_that_does_not_go_with_a_mission_is_refused(mission, manager, me
     assert message in str(refusal.value)
 
 
-def test_campaign_without_a_hand_written_tree_is_refused():
-    with pytest.raises(MissionError, match="mission uav has no hand-written tree"):
-        check_campaign(Campaign("slip", ("uav",), ("ours", "bt")))
-
-
 def test_configurations_to_use_are_those_of_the_model(new):
     with pytest.raises(MissionError) as refusal:
         open_run(find_mission(f"{new()}:MISSION"), manager="fixed", settings={"use": "nite"})
     assert "setting use names 'nite'; the model has by_camera, by_wheels, day, night" in str(
         refusal.value
     )
-
-
-def test_report_on_a_new_mission_has_no_empty_columns(new, tmp_path):
-    name = new("--task", "bt")
-    campaign = replace(
-        read_campaign(tmp_path / name / "campaign.toml"), runs=2, managers=("ours", "none")
-    )
-    folder = tmp_path / "runs"
-    with Store(folder, campaign) as store:
-        for run in campaign.planned():
-            store.keep(do(run))
-    write_report(Results(folder), folder)
-    text = (folder / "report.md").read_text()
-    head, _, *rows = [
-        line for line in text.split(f"## {name}:MISSION")[1].splitlines() if line.startswith("|")
-    ][:4]
-    assert head.startswith("| manager | runs | goal reached | duration_s: mean [95 %]")
-    assert [row.split(" | ")[:3] for row in rows] == [
-        ["| ours (bt)", "2", "2"],
-        ["| none", "2", "0"],
-    ]
-    assert "published" not in text
-    assert "Published" not in text
-    assert "search" not in text
 
 
 def test_units_are_those_of_attributes_and_of_endings(new):
@@ -265,25 +221,15 @@ def test_units_are_those_of_attributes_and_of_endings(new):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"tree": None}, "mission NAME has no task: give it a tree, or a PDDL domain and problem"),
         ({"tree": "tree"}, "tree of mission NAME is 'tree'; expected is a function"),
-        (
-            {"world": None},
-            "world of mission NAME is None; expected is an object of a subclass of WorldKind",
-        ),
         (
             {"domain": "domain.pddl"},
             "domain of mission NAME is 'domain.pddl'; expected is a pathlib.Path",
         ),
         ({"actions": ["explore"]}, "actions of mission NAME is ['explore']; expected is a mapping"),
-        ({"engines": "tamer"}, "engines of mission NAME is 'tamer'; expected is a tuple of names"),
         (
             {"tree": lambda kb: None},
             "tree of mission NAME is called with (kb, percepts), but takes (kb): too many",
-        ),
-        (
-            {"facts": lambda percepts: {}},
-            "facts of mission NAME is called with (kb, percepts), but takes (percepts)",
         ),
     ],
 )
@@ -312,11 +258,3 @@ def test_mission_that_is_only_planned_has_no_tree(new):
     assert open_run(mission).task == "pddl"
     with pytest.raises(MissionError, match="has no tree; run it with --task pddl"):
         open_run(mission, task="bt")
-
-
-def test_unknown_setting_is_answered_with_those_there_are(new):
-    with pytest.raises(MissionError) as refusal:
-        open_run(find_mission(f"{new()}:MISSION"), settings={"zzz": "1"})
-    assert "there are duration_s, tick_period_s, planning_delay_s, cave_m, draws_per_s" in str(
-        refusal.value
-    )

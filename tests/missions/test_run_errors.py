@@ -109,8 +109,6 @@ def own(**methods):
         (LIT, own(pick=raising), f"rover under manager .*Own failed after 0.00 s.*lens.*{HERE}"),
         (LIT, own(__init__=raising), f"rover under manager .*Own.*{HERE}"),
         (LIT, own(pick=lambda *_: "fast"), r"pick\(\) of Own gives 'fast'; expected is one of"),
-        (LIT, own(hear=lambda *_: None), r"hear\(\) of manager .*Own: a message is an object"),
-        (LIT, own(alter=lambda *_: None), r"what alter\(\) of .*Own gives is None, not a Mission"),
     ],
 )
 def test_function_of_an_author_that_is_wrong_is_named(mission, options, words):

@@ -22,7 +22,7 @@ from rosa_pddl import Outcome, PlanRecord
 COMBINATIONS = [
     *((name, task, "ours") for name in MISSIONS for task in TASK_KINDS),
     *(("suave_extended", "bt", manager) for manager in MANAGERS),
-    *(("uav", "bt", manager) for manager in POLICIES if manager != "bt"),
+    *(("uav", "bt", manager) for manager in POLICIES if manager != "ours"),
 ]
 
 

@@ -1,3 +1,4 @@
+#if pddl
 ; CHANGE: an action for each action of the model; the type `action` has one object for each.
 (define (domain my_robot)
   (:requirements :strips :typing :durative-actions)
@@ -23,3 +24,4 @@
     :effect (and (at end (charged ?c)) (at end (action_feasible ?b)))
   )
 )
+#fi

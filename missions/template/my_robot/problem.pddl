@@ -1,3 +1,4 @@
+#if pddl
 ; CHANGE: your objects, what holds at the start, and the goal.
 (define (problem explore_the_cave)
   (:domain my_robot)
@@ -5,3 +6,4 @@
   (:init (explore_action explore) (charge_action charge))
   (:goal (and (explored the_cave)))
 )
+#fi
