@@ -425,7 +425,7 @@ class _Reader:
 
     def _read(self, field: str, name: str, value: Any) -> Any:  # noqa: ANN401  # of any class
         if name == "hasParameter":
-            return value.key, json.loads(value.parameterValue)
+            return value.key or "", json.loads(value.parameterValue)
         if name == "hasPreference":
             return self._elements[value.prefers].name, value.weight
         if _RANGES.get(name, "text")[0].isupper():
