@@ -1,5 +1,6 @@
 """The planner: the exact search, or else an engine; every result has a named outcome."""
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -35,6 +36,8 @@ from rosa_pddl.problem import (
 )
 from rosa_pddl.search import CapReached, Grounded
 from rosa_pddl.validate import TimedStep, flaw, plan_cost, takes_s
+
+_LOG = logging.getLogger(__name__)
 
 SEARCH = "search"
 """The strategy that is the exact search in this process."""
@@ -262,6 +265,9 @@ class _Planning:
         except UnsupportedPddlError as error:
             return PlanningResult(Outcome.UNSUPPORTED, message=str(error))
         except Exception as error:  # no error here may stop the tree; it is reported by name
+            if strategy == SEARCH:
+                _LOG.exception("the search failed, so an engine is asked")
+                return None
             message = f"{type(error).__name__}: {error}"
             return PlanningResult(Outcome.ENGINE_CRASHED, message=message)
 
