@@ -8,9 +8,10 @@ first changes.
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from math import inf
+from operator import itemgetter
 from typing import NamedTuple
 
 from py_trees.behaviour import Behaviour
@@ -82,55 +83,60 @@ class Environment:
         setup: how they change.
 
     Attributes:
-        values: by attribute that changes, one value for each difference.
+        values: by attribute that changes, one value for each difference, with what it violates.
         read: the attributes that the tree compares by itself.
+        told: the attributes that leaves declare to measure (`measures`), which stay as they are.
         alike: the components that can fail, in groups that the model does not tell apart.
-        worst: by attribute, the value that violates most.
     """
 
     def __init__(self, kb: KnowledgeBase, leaves: Iterable[Behaviour], setup: Setup) -> None:
         self._setup = setup
         self._compared = _comparisons(kb)
         self.read: set[str] = set()
+        self.told: set[str] = set()
         for leaf in leaves:
+            self.told |= {*getattr(leaf, "measures", ())}
             if isinstance(leaf, Measurement):
                 self._compared[leaf.attribute.name].append((leaf, leaf.operator, leaf.value))
                 self.read.add(leaf.attribute.name)
         attributes = kb.model.attributes
-        ageing = {name for name in kb.attributes if attributes[name].max_age != inf}
-        self.values: dict[str, tuple[float, ...]] = {}
+        self.ageing = {name for name in kb.attributes if attributes[name].max_age != inf}
+        self.values: dict[str, dict[float, Signature]] = {}
         seen = set[frozenset[Signature]]()
-        for name in kb.attributes:
-            if self._compared[name]:
-                values = self._distinct(attributes[name])
-                signatures = frozenset(self.signature(name, value) for value in values)
-                is_one_bit = len(signatures) == 2 and frozenset() in signatures
-                if not setup.symmetric or not is_one_bit or name in self.read | ageing:
-                    self.values[name] = values
-                elif signatures not in seen:
-                    seen.add(signatures)
-                    self.values[name] = values
-        self.ageing = ageing & self.values.keys()
-        self.worst = {name: max(self.values[name], key=self.violated(name)) for name in self.values}
+        for name in [name for name in kb.attributes if self._compared[name]]:
+            values = self._distinct(attributes[name])
+            signatures = frozenset(values.values())
+            is_one_bit = len(signatures) == 2 and frozenset() in signatures
+            if setup.symmetric and is_one_bit and name not in self.read | self.ageing:
+                if signatures in seen:
+                    continue
+                seen.add(signatures)
+            self.values[name] = values
         components = [kb.components[name].name for name in setup.failing or kb.components]
         named = {leaf.element.name for leaf in leaves if isinstance(leaf, HasStatus)}
         self.alike: list[tuple[str, ...]] = [(name,) for name in components]
         if setup.symmetric:
             self.alike = _alike(kb, components, named)
 
-    def signature(self, name: str, value: float) -> Signature:
-        """Return what a value of an attribute violates."""
-        compared = self._compared[name]
-        return frozenset(who for who, how, limit in compared if not OPERATORS[how](value, limit))
+    def best(self, name: str) -> float:
+        """Return the value of an attribute that violates least."""
+        return min(self.values[name], key=lambda value: len(self.values[name][value]))
 
-    def violated(self, name: str) -> Callable[[float], int]:
-        """Return a function that counts what a value of an attribute violates."""
-        return lambda value: len(self.signature(name, value))
+    @property
+    def worst(self) -> dict[str, float]:
+        """By attribute that changes by itself, the value that violates most."""
+        by_count = {}
+        for name, values in self.values.items():
+            if name not in self.told:
+                by_count[name] = max(values, key=lambda value: len(values[value]))
+        return by_count
 
     def changes(self, facts: Facts) -> Iterator[tuple[tuple[Change, ...], Facts]]:
         """Yield what can happen next, beginning with nothing, and the facts after it."""
         yield (), facts
         for place, (name, present) in enumerate(facts.values):
+            if name in self.told:
+                continue
             options: list[Value] = [value for value in self.values[name] if value != present]
             if name in self.ageing and present is not None:
                 options.append(None)
@@ -146,19 +152,21 @@ class Environment:
             if up and len(facts.failed) < self._setup.failures:
                 yield (Change(up[0], True),), facts._replace(failed=facts.failed | {up[0]})
 
-    def _distinct(self, attribute: Attribute) -> tuple[float, ...]:
+    def _distinct(self, attribute: Attribute) -> dict[float, Signature]:
         """Return values of an attribute, one for each possible signature."""
-        limits = sorted({limit for _, _, limit in self._compared[attribute.name]})
+        compared = self._compared[attribute.name]
+        limits = sorted({limit for _, _, limit in compared})
         low = attribute.low
         high = attribute.high
         below = (low + limits[0]) / 2 if low > -inf else limits[0] - 1.0
         above = (limits[-1] + high) / 2 if high < inf else limits[-1] + 1.0
         between = [(left + right) / 2 for left, right in pairwise(limits)]
-        by_signature: dict[Signature, float] = {}
+        values: dict[Signature, float] = {}
         for value in (below, *between, above, *limits):
+            violated = [who for who, how, limit in compared if not OPERATORS[how](value, limit)]
             if low <= value <= high:
-                by_signature.setdefault(self.signature(attribute.name, value), value)
-        return tuple(sorted(by_signature.values()))
+                values.setdefault(frozenset(violated), value)
+        return {value: each for each, value in sorted(values.items(), key=itemgetter(1))}
 
 
 def _comparisons(kb: KnowledgeBase) -> defaultdict[str, list[tuple[object, str, float]]]:

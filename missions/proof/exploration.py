@@ -72,7 +72,6 @@ class Exploration:
         situations: by number; 0 is the initial one, and those that fewer rounds lead to come first.
         rounds: by number of the situation, all that may follow it; empty until it is explored.
         seen: by number, what properties look at.
-        occurring: what was ever selected or required, as kind and name.
         faults: of the manager, in words, each with the fewest rounds that lead there.
         holds: by predicate, the situations in which it holds.
         transitions: how many different ticks were run.
@@ -84,7 +83,6 @@ class Exploration:
         self.faults: dict[str, Sequence[Step]] = dict.fromkeys(rig.begin(), ())
         self.situations: list[Situation] = []
         self.seen: list[Seen] = []
-        self.occurring: set[tuple[str, str]] = set()
         self.rounds: list[list[Round]] = []
         self.holds: defaultdict[Predicate, set[int]] = defaultdict(set)
         self.transitions = 0
@@ -94,7 +92,7 @@ class Exploration:
         requests = requests_of(rig.kb)
         self._requesters = requests.requesters
         kept = [requests.requesters, requests.halting, requests.progress]
-        self._memory = Memory([rig.root, Blackboard.storage, *kept])
+        self._memory = Memory([rig.root, Blackboard.storage, rig.senses, *kept])
         self._count = 0
         self._reached_by: list[tuple[int, Step]] = []
         self._numbers: dict[Situation, int] = {}
@@ -133,6 +131,14 @@ class Exploration:
     def every(self) -> range:
         """The numbers of all situations."""
         return range(len(self.situations))
+
+    @property
+    def occurring(self) -> set[tuple[str, str]]:
+        """What was ever selected or required, as kind and name."""
+        occurring = set[tuple[str, str]]()
+        for facts in self._settled.values():
+            occurring |= {*facts.selected, *(("action", action) for action, _ in facts.requested)}
+        return occurring
 
     @property
     def goals(self) -> set[int]:
@@ -234,7 +240,6 @@ class Exploration:
         while scripts:
             self.load(moment)
             late = rig.unfeasible
-            self.occurring |= {*moment.facts.selected, *(("action", name) for name in rig.required)}
             rig.tick(scripts.pop())
             scripts += rig.others
             step = Step(changes, rig.taken)
@@ -277,7 +282,6 @@ class Exploration:
         self.seen.append(
             Seen(rig.required, rig.unfeasible, feasible, rig.running, stage, has_succeeded)
         )
-        self.occurring |= {*situation.facts.selected, *(("action", name) for name in rig.required)}
         for predicate in self._predicates:
             if predicate(rig):
                 self.holds[predicate].add(number)

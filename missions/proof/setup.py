@@ -144,7 +144,6 @@ class Setup:
         failing: the components that can fail; empty for all.
         symmetric: let only the first of several facts that make no difference apart change.
         wanted: further properties; see `always`, `never`, `eventually` and `leads_to`.
-        exclusive: groups of actions; at most one of each may be required at a time.
         goal: holds where the mission has reached its goal; by default what the PDDL file says, or
             else where the root succeeds, unless what succeeded only makes other actions feasible.
         most: explore about this number of situations at most.
@@ -161,7 +160,6 @@ class Setup:
     failing: Sequence[str] = ()
     symmetric: bool = True
     wanted: Sequence[Any] = ()
-    exclusive: Sequence[Collection[str]] = ()
     goal: Predicate | None = None
     most: float = 100_000
     seconds: float = 60.0

@@ -90,7 +90,6 @@ class Proof:
             rig.tick(step.answers)
             rig.settle()
         if recorder is not None:
-            recorder.put("result", 0, self._result())
             recorder.close()
             recorder.report(str(page))
         return lines
@@ -100,20 +99,6 @@ class Proof:
         goal = min(self.explored.goals.intersection(self.explored.caused()), default=0)
         trails = [finding.trail for finding in self.broken if finding.trail is not None]
         self.story(trails[0] if trails else self.explored.path(goal), page)
-
-    def _result(self) -> dict[str, Any]:
-        """Return what the page shows as the result of the run."""
-        outcome = "all holds" if self.explored.is_finished else "not finished"
-        rows = []
-        for each in self.consequences:
-            does = f"; does {', '.join(each.actions)}" if each.actions else ""
-            rows.append([each.fact, "", each.reaches + does])
-        return {
-            "success": not self.broken,
-            "outcome": f"{len(self.broken)} broken" if self.broken else outcome,
-            "reason": self.count,
-            "figures": rows,
-        }
 
     @property
     def count(self) -> str:
