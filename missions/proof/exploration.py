@@ -13,10 +13,9 @@ from py_trees.blackboard import Blackboard
 from py_trees.common import Status
 from py_trees.composites import Sequence as SequenceNode
 
-from missions.proof.environment import Change, Facts
 from missions.proof.memory import Memory
 from missions.proof.rig import Answer, Rig, Step
-from missions.proof.setup import Predicate, Setup
+from missions.proof.setup import Change, Facts, Predicate, Setup
 from rosa_bt.requests import requests_of
 
 
@@ -88,7 +87,6 @@ class Exploration:
         self.transitions = 0
         self.seconds = 0.0
         self._predicates = [predicate for each in setup.wanted for predicate in each.predicates]
-        self._predicates += [setup.goal] if setup.goal else []
         requests = requests_of(rig.kb)
         self._requesters = requests.requesters
         kept = [requests.requesters, requests.halting, requests.progress]
@@ -143,9 +141,6 @@ class Exploration:
     @property
     def goals(self) -> set[int]:
         """The situations in which the goal is reached."""
-        goal = self.rig.setup.goal
-        if goal is not None:
-            return self.holds[goal]
         ended = (number for number in self.every if self.seen[number].has_succeeded)
         return {number for number in ended if not self.misses(number)}
 
@@ -154,8 +149,6 @@ class Exploration:
 
         Empty if it is.
         """
-        if self.rig.setup.goal is not None:
-            return ""
         deeds = self.situations[number].deeds
         for deed in deeds:
             if deed.startswith("the success of "):

@@ -25,13 +25,15 @@ from kb import ConfigurationManager, KnowledgeBase, UnknownName
 from kb.elements import AttributeKind
 from missions.engine.components import VERBS
 from missions.engine.mission import Condition
-from missions.proof.environment import (
+from missions.proof.setup import (
     Change,
     Environment,
     Facts,
+    Leaf,
+    Senses,
+    Setup,
     without_debouncing,
 )
-from missions.proof.setup import Leaf, Senses, Setup
 from missions.testing.scripted import LETTERS, replace_work
 from rosa_bt import ForAction, RosaAction, TreeRunner
 from rosa_bt.behaviours import KbBehaviour

@@ -13,11 +13,10 @@ from py_trees.decorators import Decorator
 from kb import Event, KnowledgeBase, Model
 from missions.engine.mission import Mission, MissionError
 from missions.engine.task_layer import build_task
-from missions.proof.environment import Change
 from missions.proof.exploration import Exploration
 from missions.proof.properties import Finding, check, notes
 from missions.proof.rig import Rig, Step, acting
-from missions.proof.setup import Senses, Setup, causes_of
+from missions.proof.setup import Change, Senses, Setup, causes_of
 from rosa_bt import HasStatus, IsActionFeasible, RosaAction, do_until_unfeasible
 
 
@@ -42,14 +41,12 @@ class Proof:
     """The result of a verification.
 
     Attributes:
-        setup: what was verified.
         explored: the situations, which can be asked further questions.
         findings: for each property, whether it holds.
         consequences: of each single bad fact.
         notes: what is no mistake, but good to know.
     """
 
-    setup: Setup
     explored: Exploration
     findings: Sequence[Finding]
     consequences: Sequence[Consequence]
@@ -67,7 +64,7 @@ class Proof:
         """
         if trail is None:
             return []
-        rig = Rig(self.setup)
+        rig = Rig(self.explored.rig.setup)
         lines: list[str] = []
 
         def on_event(event: Event) -> None:
@@ -142,8 +139,7 @@ def verify(
     """Explore a tree with its knowledge base and the manager, and check what holds.
 
     Args:
-        build_tree: makes the tree, given the knowledge base, and percepts if it takes two
-            arguments.
+        build_tree: makes the tree, given the knowledge base.
         model: makes the model of the robot.
         suggest: look for what mends a broken tree, see `Finding.advice`.
         options: of `Setup`.
@@ -172,7 +168,7 @@ def prove(setup: Setup, *, suggest: bool = False) -> Proof:
             advice = {True: "", False: text, None: ""}
             findings = [replace(each, advice=advice[each.holds]) for each in findings]
             break
-    return Proof(setup, explored, findings, consequences(explored), notes(explored))
+    return Proof(explored, findings, consequences(explored), notes(explored))
 
 
 def consequences(explored: Exploration) -> list[Consequence]:

@@ -160,10 +160,7 @@ class Half:
         return None
 
 
-FULL = {
-    "start": {"energy": 0.625, "light": 1.5},
-    "failing": ("camera", "radar", "wheels"),
-}
+FULL = {"start": {"energy": 0.625, "light": 1.5}}
 
 
 BOTH = never(
@@ -481,7 +478,7 @@ CORRECT = [
         "steps that need what has failed since",
         lambda kb: in_turn(Act("drive", kb, "drive"), Act("look", kb, "look"), memory=True),
         model=fetching_model,
-        options={"start": {}, "failing": ()},
+        options={"start": {}},
     ),
     Case("more light", either, **rover(dark=2.0)),
     Case(
