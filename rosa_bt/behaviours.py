@@ -1,18 +1,18 @@
 """Leaves: conditions that ask a knowledge base, and actions that request what they do."""
 
-import json
 import math
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import suppress
+from weakref import WeakSet
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation, PortsMixin
 
-from kb import InvalidValue, KnowledgeBase
-from kb.elements import meant_by
-from kb.status import OPERATORS, STATUSES
-from kb.views import ActionView, ComponentView, ConfigurationView, DesignView, FunctionView
+from kb import KnowledgeBase
+from kb.elements import meant_by, status_of
+from kb.status import OPERATORS
+from kb.views import ElementView
 from rosa_bt.exceptions import report
 from rosa_bt.requests import (
     FAILURE,
@@ -20,74 +20,70 @@ from rosa_bt.requests import (
     RUNNING,
     SUCCESS,
     ActionRequest,
-    Requester,
     requests_of,
-    store_progress,
     why,
 )
 
 Ticking = Generator[Behaviour, None, Status]
 """Yields the nodes that are visited, as `tick` of py_trees does, and returns the outcome."""
-StatusView = ActionView | FunctionView | ComponentView | DesignView | ConfigurationView
-"""A view of an element that has a name and a status."""
-_SAVE_S = 1.0
-"""Interval at which the progress of a running action goes to the store [s]."""
 
 
 def halt(root: Behaviour) -> None:
-    """Stop every running behaviour of a subtree, children first; exceptions are reported.
-
-    Raises:
-        BaseException: the last interrupt that arrived meanwhile, e.g. KeyboardInterrupt.
-    """
-    running = [node for node in root.iterate() if node.status is RUNNING]
-    interrupt: BaseException | None = None
-    for node in (*running, *running):  # again for those whose stop was interrupted
+    """Stop every running behaviour of a subtree, children first; exceptions are reported."""
+    for node in [node for node in root.iterate() if node.status is RUNNING]:
         try:
-            if node.status is RUNNING:
-                node.stop(INVALID)
+            node.stop(INVALID)
         except Exception as error:
             report(node, error, " (at the end)")
-        except BaseException as error:
-            interrupt = error
-            continue
         node.status = INVALID
-    for node in running:
-        node.status = INVALID
-    if interrupt is not None:
-        raise interrupt
 
 
-class GuardedBehaviour(Behaviour):
-    """A behaviour that fails on an exception, with its text as feedback; an interrupt stops it."""
+class _EndedBadly(Exception):
+    """A behaviour raised when it was stopped after SUCCESS or FAILURE; that is reported already."""
 
-    def advance(self) -> Ticking:
-        """Do the work of one tick: yield the nodes that are visited before, return the status."""
-        raise NotImplementedError
 
-    def tick(self) -> Iterator[Behaviour]:
+_guarded: WeakSet[Behaviour] = WeakSet()
+
+
+def guard(behaviour: Behaviour) -> None:
+    """Wrap a behaviour, for good: when it raises, it fails, and its children are stopped.
+
+    If it raises while it is interrupted, the interruption goes on.
+    """
+    if behaviour in _guarded:
+        return
+    _guarded.add(behaviour)
+    tick = behaviour.tick
+    stop = behaviour.stop
+
+    def guarded_tick() -> Iterator[Behaviour]:
         try:
-            try:
-                new_status = yield from self.advance()
-            except Exception as error:
-                report(self, error)
-                new_status = FAILURE
-            if new_status is RUNNING:
-                self.status = new_status
-            else:
-                self.stop(new_status)
-        except BaseException:
-            self.stop(INVALID)
-            raise
-        yield self
+            yield from tick()
+        except Exception as error:
+            if not isinstance(error, _EndedBadly):
+                report(behaviour, error)
+                with suppress(_EndedBadly):
+                    behaviour.stop(FAILURE)
+            for child in behaviour.children:
+                halt(child)
+            behaviour.status = FAILURE
+            yield behaviour
 
-    def shutdown(self) -> None:
-        """Stop the behaviour if it is running; called when the tree is shut down."""
-        if self.status is RUNNING:
-            self.stop(INVALID)
+    def guarded_stop(new_status: Status = INVALID) -> None:
+        try:
+            stop(new_status)
+        except Exception as error:
+            for child in behaviour.children:
+                halt(child)
+            report(behaviour, error, " (at the end)")
+            behaviour.status = INVALID if new_status is INVALID else FAILURE
+            if new_status is not INVALID:
+                raise _EndedBadly from error
+
+    vars(behaviour).update(tick=guarded_tick, stop=guarded_stop)
 
 
-class KbBehaviour(GuardedBehaviour):
+class KbBehaviour(Behaviour):
     """A leaf that uses a knowledge base.
 
     Attributes:
@@ -99,36 +95,13 @@ class KbBehaviour(GuardedBehaviour):
         super().__init__(name)
         self.kb = kb
         self.last_event: int | None = None
+        guard(self)
 
-    def stop(self, new_status: Status) -> None:
-        """Call `terminate` and set the status; an exception in it turns SUCCESS into FAILURE."""
-        self.status = self._terminated(new_status)
-        self.iterator = self.tick()
-
-    def _terminated(self, new_status: Status) -> Status:
-        try:
-            self.terminate(new_status)
-        except Exception as error:
-            report(self, error, " (at the end)")
-            return FAILURE if new_status is SUCCESS else new_status
-        return new_status
-
-    def advance(self) -> Ticking:
-        yield from ()  # it has no children
-        return self._advance()
-
-    def _advance(self) -> Status:
+    def tick(self) -> Iterator[Behaviour]:
         with self.kb.reading():  # all is answered at one moment, which the trace can name
             self.last_event = self.kb.log.last
-            if self.status is not RUNNING:
-                self.initialise()
-            return self._updated()
-
-    def _updated(self) -> Status:
-        status = self.update()
-        if type(status) is not Status:
-            raise TypeError(f"update returned {status!r}, which is no py_trees.common.Status")
-        return status
+            visited = [*super().tick()]
+        yield from visited
 
     def _answer(self, objection: str) -> Status:
         """Return SUCCESS if there is no objection, else FAILURE; it becomes the feedback."""
@@ -169,38 +142,14 @@ class IsActionFeasible(ActionBehaviour):
 
     Args:
         action: name of the ROSA action; without it, the port `action` gives it.
-        during: how long the action takes [s]. It has to stay feasible for that time: at the start,
-            at the worst ends of the forecasts; once it is requested, by the expected forecasts, for
-            the time that is left.
 
     Raises:
         kb.UnknownName: no such action; the message lists the nearest ones.
     """
 
-    def __init__(
-        self, name: str, kb: KnowledgeBase, action: str | None = None, *, during: float = 0.0
-    ) -> None:
-        super().__init__(name, kb, action)
-        self.during = during
-        self.ends_too_soon = False  # feasible now, but not for as long as `during`
-
     def update(self) -> Status:
         kb = self.kb
-        action = self.action
-        self.ends_too_soon = False
-        if not kb.is_feasible(action):
-            return self._answer(why(kb, action))
-        if not self.during:
-            return self._answer("")
-        begun = [request.start for request in kb.required_actions if request.action == action]
-        left = self.during - sum(kb.now - start for start in begun)
-        if left <= 0.0:
-            return self._answer("")
-        until = kb.feasible_until(action, left)
-        end = until.at if begun else until.earliest
-        self.ends_too_soon = end is not None
-        too_long = f"{action} takes {left:.3g} s and is {until}"
-        return self._answer(too_long if self.ends_too_soon else "")
+        return self._answer("" if kb.is_feasible(self.action) else why(kb, self.action))
 
 
 class HasStatus(KbBehaviour):
@@ -220,11 +169,11 @@ class HasStatus(KbBehaviour):
     """
 
     def __init__(
-        self, name: str, kb: KnowledgeBase, element: str | StatusView, status: str
+        self, name: str, kb: KnowledgeBase, element: str | ElementView, status: str
     ) -> None:
         super().__init__(name, kb)
         if isinstance(element, str):
-            tables: dict[str, Mapping[str, StatusView]] = {
+            tables: dict[str, Mapping[str, ElementView]] = {
                 "action": kb.actions,
                 "function": kb.functions,
                 "component": kb.components,
@@ -232,12 +181,8 @@ class HasStatus(KbBehaviour):
                 "configuration": kb.configurations,
             }
             element = meant_by(element, tables, "element", "pass the view meant, e.g. kb.")
-        kind = element.node.kind
-        if status not in STATUSES[kind]:
-            possible = ", ".join(repr(str(status)) for status in STATUSES[kind])
-            raise InvalidValue(f"{kind} {element.name!r} is never {status!r}; it can be {possible}")
         self.element = element
-        self.wanted = status
+        self.wanted = status_of(element.node.kind, status)
 
     def update(self) -> Status:
         status = self.element.status
@@ -281,18 +226,72 @@ class Measurement(KbBehaviour):
     def update(self) -> Status:
         name = self.attribute.name
         measured = self.attribute.value
-        if measured is None:
-            self.feedback_message = f"{name} is not measured"
-            return self._unknown
-        if self.attribute.is_stale:
-            self.feedback_message = f"{name} is not measured any more"
+        if measured is None or self.attribute.is_stale:
+            when = "yet" if measured is None else "any more"
+            self.feedback_message = f"{name} is not measured {when}"
             return self._unknown
         holds = OPERATORS[self.operator](measured, self.value)
         violation = f"{name} {measured:.6g} is not {self.operator} {self.value:.6g}"
         return self._answer("" if holds else violation)
 
 
-class RosaAction(ActionBehaviour, Requester):
+class Requester(Behaviour):
+    """A behaviour that requests an action while it runs: `RosaAction` and `ForAction`.
+
+    Attributes:
+        exclusive: wait until every interrupted action has halted, and let every other action wait.
+        even_if_unfeasible: go on when the action becomes unfeasible while it runs; for a subclass
+            to set, not recommended.
+        halting_timeout: how long an interrupted action may take to halt [s].
+    """
+
+    exclusive: bool = False
+    even_if_unfeasible: bool = False
+    halting_timeout: float = 10.0
+    _rosa_request: ActionRequest
+
+    def tick(self) -> Iterator[Behaviour]:
+        try:
+            new_status = self._rosa_request.admit()
+            if new_status is SUCCESS:
+                new_status = yield from self._rosa_work()
+            if new_status is RUNNING:
+                self.status = new_status
+            else:
+                self.stop(new_status)
+        except Exception:
+            raise  # the guard fails it
+        except BaseException:
+            self.stop(INVALID)
+            raise
+        yield self
+
+    def _rosa_work(self) -> Ticking:
+        """Do the work of one tick: yield the nodes that are visited before, return the status."""
+        raise NotImplementedError
+
+    def shutdown(self) -> None:
+        """Stop the behaviour if it is running; called when the tree is shut down."""
+        halt(self)
+
+    def halting(self) -> Status:
+        """Return RUNNING until the robot has stopped doing the action; anything else ends halting.
+
+        Called after an interruption, once `terminate` has returned, and then once in each tick. The
+        action stays requested meanwhile, so its components stay configured. An action that is next
+        waits for it if it is exclusive, or shares a component or its name with this one. The
+        default ends at once. When `halting_timeout` has passed, the others wait no longer; the log
+        says so, and so does the result of the request, with `feedback_message`.
+        """
+        return SUCCESS
+
+    @property
+    def halts_at_once(self) -> bool:
+        """Whether `halting` is not overridden."""
+        return getattr(self.halting, "__func__", None) is Requester.halting
+
+
+class RosaAction(Requester, ActionBehaviour):
     """Action: base class of what a mission does while the robot is configured for it.
 
     Override `update`, and `initialise` and `terminate` if needed; they need not call the base's.
@@ -311,7 +310,6 @@ class RosaAction(ActionBehaviour, Requester):
         preference: name of the attribute to favour when a configuration is chosen; also a port.
         wait: begin only when the robot is configured for the action; RUNNING until then.
         timeout: how long to wait [s], by the clock of the knowledge base; then FAILURE.
-        even_if_unfeasible: go on when the action becomes unfeasible while it runs.
         exclusive: begin only when every interrupted action has halted, and let the others wait.
         halting_timeout: how long the others wait until this has halted [s].
 
@@ -332,26 +330,23 @@ class RosaAction(ActionBehaviour, Requester):
         *,
         wait: bool = False,
         timeout: float = math.inf,
-        even_if_unfeasible: bool = False,
         exclusive: bool = False,
         halting_timeout: float = Requester.halting_timeout,
     ) -> None:
         super().__init__(name, kb, action)
         self.wait = wait
         self.timeout = timeout
-        self.even_if_unfeasible = even_if_unfeasible
         self.exclusive = exclusive
         self.halting_timeout = halting_timeout
-        self._preference = preference
-        self._request = ActionRequest(self, kb)
-        self._has_begun = False
-        self._saved_s = -math.inf
+        self._rosa_preference = preference
+        self._rosa_request = ActionRequest(self, kb)
+        self._rosa_has_begun = False
 
     @property
     def preference(self) -> str | None:
         """Name of the attribute to favour, or None."""
-        if self._preference is not None:
-            return self._preference
+        if self._rosa_preference is not None:
+            return self._rosa_preference
         with suppress(RuntimeError):  # this leaf is not connected to a blackboard
             return self.get_input("preference") or None
         return None
@@ -359,80 +354,64 @@ class RosaAction(ActionBehaviour, Requester):
     @property
     def is_halting(self) -> bool:
         """Whether it was interrupted, and `halting` is not over yet."""
-        return self._request.is_halting
+        return self._rosa_request.is_halting
 
     def save_progress(self) -> object | None:
         """Return how far the action has come, or None (the default) if it starts afresh next time.
 
-        Called before `terminate` when the action is interrupted or fails; and, if the knowledge
-        base has a store, about once a second while it runs: the store keeps it (as JSON) for the
-        next program. It is kept by action and name of the behaviour until the action succeeds or a
-        new mission begins.
+        Called before `terminate` when the action is interrupted or fails. It is kept by action and
+        name of the behaviour until the action succeeds or a new mission begins.
         """
         return None
 
     def restore_progress(self, progress: object) -> None:
         """Continue from what `save_progress` returned; called after `initialise`."""
 
+    def _rosa_work(self) -> Ticking:
+        yield from ()  # it has no children
+        if not self._rosa_has_begun:
+            self._rosa_has_begun = True
+            self.initialise()
+            progress = requests_of(self.kb).progress.get((self.action, self.name))
+            if progress is not None:
+                self.restore_progress(progress)
+        status = self.update()
+        if type(status) is not Status:
+            raise TypeError(f"update returned {status!r}, which is no py_trees.common.Status")
+        return status
+
     def stop(self, new_status: Status) -> None:
         """Save progress, call `terminate`, and release the request or begin to halt.
 
         The status changes last: after an interrupt in here, a second call does the rest.
         """
+        has_begun = self._rosa_has_begun
         ended = INVALID
-        has_begun = self._has_begun
         try:
             if has_begun:
                 try:
-                    self._save(new_status)
+                    self._rosa_save(new_status)
                 finally:
-                    ended = self._terminated(new_status)
-                    self._has_begun = False
-            else:
-                ended = new_status
+                    self.terminate(new_status)
+            ended = new_status
+            self._rosa_has_begun = False
+        except Exception as error:
+            report(self, error, " (at the end)")
+            ended = FAILURE if new_status is SUCCESS else new_status
+            self._rosa_has_begun = False
         finally:
             if ended is INVALID and has_begun:
-                self._request.halt()
+                self._rosa_request.halt()
             elif not self.is_halting:
-                self._request.close(ended, self.feedback_message)
+                self._rosa_request.close(ended, self.feedback_message)
             elif self.status is RUNNING:  # an interrupt cut the first stop short
-                self._request.advance_halting()
+                self._rosa_request.advance_halting()
         self.status = ended
         self.iterator = self.tick()
 
-    def _advance(self) -> Status:
-        status = self._request.admit()
-        if status is not SUCCESS:
-            return status
-        if not self._has_begun:
-            self._begin()
-        status = self._updated()
-        is_due = self.kb.store is not None and self.kb.now >= self._saved_s + _SAVE_S
-        if status is RUNNING and is_due:
-            self._save(status)
-        return status
-
-    def _begin(self) -> None:
-        self._has_begun = True
-        self.initialise()
-        self._saved_s = self.kb.now
-        requests = requests_of(self.kb)
-        key = (self.action, self.name)
-        requests.earlier.discard(key)
-        if key in requests.progress:
-            self.restore_progress(requests.progress[key])
-
-    def _save(self, new_status: Status) -> None:
+    def _rosa_save(self, new_status: Status) -> None:
+        progress = None if new_status is SUCCESS else self.save_progress()
         all_progress = requests_of(self.kb).progress
-        try:
-            key = (self.action, self.name)
-            progress = None if new_status is SUCCESS else self.save_progress()
-            all_progress.pop(key, None)
-            if progress is not None:
-                all_progress[key] = progress
-            if self.kb.store is not None:
-                self._saved_s = self.kb.now
-                saved = "" if progress is None else json.dumps(progress)
-                store_progress(self.kb, *key, saved)
-        except Exception as error:
-            report(self, error, " (progress is not saved)")
+        all_progress.pop((self.action, self.name), None)
+        if progress is not None:
+            all_progress[self.action, self.name] = progress

@@ -8,10 +8,16 @@ from py_trees.behaviour import Behaviour
 from py_trees.decorators import Decorator
 
 from kb import UnknownName
-from rosa_bt.behaviours import ActionBehaviour, IsActionFeasible, RosaAction, Ticking
+from rosa_bt.behaviours import (
+    ActionBehaviour,
+    IsActionFeasible,
+    Requester,
+    RosaAction,
+    Ticking,
+)
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import TreeChangeError, path_of
-from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS, Requester, is_parallel
+from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS, is_parallel
 
 
 def failed_as_unfeasible(task: Behaviour) -> bool:
@@ -23,7 +29,6 @@ def failed_as_unfeasible(task: Behaviour) -> bool:
     failed = [child for child in task.children if child.status is FAILURE]
     if isinstance(task, ActionBehaviour | ForAction):
         is_unfeasible = task.action not in task.kb.actions or not task.kb.is_feasible(task.action)
-        is_unfeasible |= isinstance(task, IsActionFeasible) and task.ends_too_soon
         if is_unfeasible or not failed:
             return is_unfeasible
     deciding = failed if is_parallel(task) else failed[-1:]
@@ -133,8 +138,7 @@ class SafeSwitch(_RoleComposite):
         if before in self.after:
             transition = self.current_child = self.children[self.after.index(before)]
             yield from transition.tick()
-            feedback = f"switching from {before}: {transition.feedback_message}"
-            self.feedback_message = feedback.removesuffix(": ")
+            self.feedback_message = f"switching from {before}: {transition.feedback_message}"
             if transition.status is not SUCCESS:
                 return transition.status
             self.last_action[_LAST] = self.action
@@ -146,26 +150,20 @@ class SafeSwitch(_RoleComposite):
         return task.status
 
 
-def feasible_then_act(task: Behaviour, during: float = 0.0) -> Behaviour:
+def feasible_then_act(task: Behaviour) -> Behaviour:
     """Return a subtree that does an action only while it is feasible, which each tick asks.
 
     Args:
         task: the action. Any other behaviour is returned as it is: a `ForAction` asks by itself,
             and in a subtree its leaves do.
-        during: how long the action takes [s]; see `IsActionFeasible`.
     """
     if not isinstance(task, RosaAction):
-        if not during:
-            return task
-        advice = "give `during` to the actions in it instead"
-        raise TreeChangeError(f"{task.name!r} is not a RosaAction; {advice}")
-    condition = IsActionFeasible(f"{task.name} feasible?", task.kb, task.action, during=during)
+        return task
+    condition = IsActionFeasible(f"{task.name} feasible?", task.kb, task.action)
     return composites.Sequence(f"{task.name} if feasible", memory=False, children=[condition, task])
 
 
-def first_feasible(
-    name: str, tasks: Sequence[Behaviour], *, memory: bool = False, during: float = 0.0
-) -> Behaviour:
+def first_feasible(name: str, tasks: Sequence[Behaviour], *, memory: bool = False) -> Behaviour:
     """Return a selector that does the first of several actions that is feasible and does not fail.
 
     Args:
@@ -173,19 +171,13 @@ def first_feasible(
         tasks: the actions, the most preferred first.
         memory: go on with the action that has started as long as it is feasible; otherwise a more
             preferred action takes over in the tick in which it becomes feasible.
-        during: how long each action takes [s]; for another duration, pass `feasible_then_act(...)`.
     """
-    children = [feasible_then_act(task, during) for task in tasks]
+    children = [feasible_then_act(task) for task in tasks]
     return composites.Selector(name, memory=memory, children=children)
 
 
 def do_until_unfeasible(
-    task: Behaviour,
-    meanwhile: Behaviour,
-    *,
-    memory: bool = False,
-    name: str | None = None,
-    during: float = 0.0,
+    task: Behaviour, meanwhile: Behaviour, *, memory: bool = False, name: str | None = None
 ) -> DoUntilUnfeasible:
     """Return a composite that does a task, and something else while the task is unfeasible.
 
@@ -194,45 +186,14 @@ def do_until_unfeasible(
         meanwhile: an action or a subtree to do while the task is unfeasible.
         memory: finish `meanwhile` first, even if the task becomes feasible earlier.
         name: of the composite.
-        during: how long the task takes [s], if it is an action; it starts only if it will stay
-            feasible for that long.
     """
     for part in (task, meanwhile):
         if not isinstance(part, Behaviour):
             hint = "put several in a Sequence or a Selector"
             raise TypeError(f"do_until_unfeasible takes behaviours, not {part!r}; {hint}")
-    doing = feasible_then_act(task, during)
-    instead = feasible_then_act(meanwhile)
     name = name or f"{task.name}, or else {meanwhile.name}"
-    return DoUntilUnfeasible(name, doing, instead, memory=memory)
-
-
-def unguarded(root: Behaviour) -> list[RosaAction]:
-    """Return the actions that go on when they become unfeasible, and that nothing above stops then.
-
-    A node stops its action if it is a `ForAction`, or a sequence without memory with an
-    `IsActionFeasible` before it.
-    """
-    actions = [node for node in root.iterate() if isinstance(node, RosaAction)]
-    return [task for task in actions if task.even_if_unfeasible and not _is_guarded(task)]
-
-
-def _is_guarded(action: RosaAction) -> bool:
-    node: Behaviour = action
-    for parent in path_of(action)[1:]:
-        if isinstance(parent, ForAction) and parent.action == action.action:
-            return True
-        is_sequence = isinstance(parent, composites.Sequence) and not parent.memory
-        if is_sequence or getattr(parent, "is_reactive_sequence", False):
-            for before in parent.children[: parent.children.index(node)]:
-                for condition in before.iterate():
-                    if (
-                        isinstance(condition, IsActionFeasible)
-                        and condition.action == action.action
-                    ):
-                        return True
-        node = parent
-    return False
+    parts = feasible_then_act(task), feasible_then_act(meanwhile)
+    return DoUntilUnfeasible(name, *parts, memory=memory)
 
 
 def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behaviour]) -> Behaviour:
@@ -256,11 +217,11 @@ def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behavio
     names = sorted({task.action for task in tasks})
     steps_by_action: dict[str, dict[str, Behaviour]] = {}
     for (before, after), step in transitions.items():
-        for action in (before, after):
-            if action not in names:
-                raise UnknownName("action of the tree", action, names)
-            steps_by_action.setdefault(action, {})
-        steps_by_action[after][before] = step
+        steps_by_action.setdefault(before, {})
+        steps_by_action.setdefault(after, {})[before] = step
+    for action in steps_by_action:
+        if action not in names:
+            raise UnknownName("action of the tree", action, names)
     tasks = [task for task in tasks if task.action in steps_by_action]
     for task in tasks:
         _check_switch(task, tasks, bool(steps_by_action[task.action]))

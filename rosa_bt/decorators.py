@@ -15,9 +15,9 @@ from py_trees.common import Status
 from py_trees.decorators import Decorator
 
 from kb import KnowledgeBase
-from rosa_bt.behaviours import GuardedBehaviour, Ticking, halt
-from rosa_bt.exceptions import TreeChangeError, report
-from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS, ActionRequest, Requester
+from rosa_bt.behaviours import Requester, Ticking, guard
+from rosa_bt.exceptions import TreeChangeError
+from rosa_bt.requests import FAILURE, RUNNING, SUCCESS, ActionRequest
 
 Clock = Callable[[], float]
 """Gives the time [s]."""
@@ -25,7 +25,15 @@ ROUNDING_S = 1e-9
 """A time is over if less than this is left of it [s]."""
 
 
-class ForAction(GuardedBehaviour, Requester, Decorator):
+class PassingOn(Decorator):
+    """Has the status and the feedback of its child; base class."""
+
+    def update(self) -> Status:
+        self.feedback_message = self.decorated.feedback_message
+        return self.decorated.status
+
+
+class ForAction(Requester, PassingOn):
     """Ticks any behaviour only while a ROSA action is feasible, and requests the action meanwhile.
 
     Each tick asks whether the action is feasible. If it is not, the child is stopped, and this
@@ -39,7 +47,6 @@ class ForAction(GuardedBehaviour, Requester, Decorator):
         preference: name of the attribute to favour when a configuration is chosen, or None.
         wait: tick the child only when the robot is configured for the action; RUNNING until then.
         timeout: how long to wait [s], by the clock of the knowledge base; then FAILURE.
-        exclusive: begin only when every interrupted action has halted.
 
     Raises:
         kb.UnknownName: no such action; the message lists the nearest ones.
@@ -55,7 +62,6 @@ class ForAction(GuardedBehaviour, Requester, Decorator):
         preference: str | None = None,
         wait: bool = False,
         timeout: float = math.inf,
-        exclusive: bool = False,
     ) -> None:
         super().__init__(name, child)
         kb.is_feasible(action)  # raises now, not during a mission, if it is unknown
@@ -64,35 +70,20 @@ class ForAction(GuardedBehaviour, Requester, Decorator):
         self.preference = preference
         self.wait = wait
         self.timeout = timeout
-        self.exclusive = exclusive
-        self._request = ActionRequest(self, kb)
+        self._rosa_request = ActionRequest(self, kb)
+        guard(self)
 
-    def advance(self) -> Ticking:
-        new_status = self._request.admit()
-        if new_status is SUCCESS:
-            yield from self.decorated.tick()
-            new_status = self.update()
-        return new_status
-
-    def update(self) -> Status:
-        self.feedback_message = self.decorated.feedback_message
-        return self.decorated.status
+    def _rosa_work(self) -> Ticking:
+        yield from self.decorated.tick()
+        return self.update()
 
     def stop(self, new_status: Status) -> None:
-        """Stop the child if it is running, and release the request, also if the child raises.
+        """Release the request, and stop the child if it is running.
 
         The status changes last: after an interrupt in here, a second call does the rest.
         """
-        try:
-            self.terminate(new_status)
-            if new_status is INVALID or self.decorated.status is RUNNING:
-                self.decorated.stop(INVALID)
-        except Exception as error:
-            report(self, error, " (at the end)")
-        finally:
-            halt(self.decorated)
-            self._request.close(new_status, self.feedback_message)
-        self.status = new_status
+        self._rosa_request.close(new_status, self.feedback_message)
+        super().stop(new_status)
 
 
 class UntilSuccess(Decorator):
@@ -131,6 +122,7 @@ class Timed(ClockFollower):
     _since = -math.inf
 
     def initialise(self) -> None:
+        super().initialise()
         self._since = self._clock()
 
     def is_over(self, duration: float) -> bool:
@@ -147,24 +139,18 @@ class Timer(Timed, py_trees.timers.Timer):
         return SUCCESS if is_over else RUNNING
 
 
-class Timeout(Timed, py_trees.decorators.Timeout):
+class Timeout(PassingOn, Timed, py_trees.decorators.Timeout):
     """Stops the child, and fails, if it is RUNNING after a duration [s]."""
 
-    def tick(self) -> Iterator[Behaviour]:
-        is_late = self.status is RUNNING and self.is_over(self.duration)
-        if is_late and self.decorated.status is RUNNING:
-            self.feedback_message = f"{self.decorated.name} takes more than {self.duration:g} s"
-            self.stop(FAILURE)
-            yield self
-        else:
-            yield from super().tick()
-
     def update(self) -> Status:
-        self.feedback_message = self.decorated.feedback_message
-        return self.decorated.status
+        new_status = super().update()
+        if new_status is RUNNING and self.is_over(self.duration):
+            self.feedback_message = f"{self.decorated.name} takes more than {self.duration:g} s"
+            return FAILURE
+        return new_status
 
 
-class Delay(Timed, Decorator):
+class Delay(PassingOn, Timed):
     """RUNNING for a duration [s]; then ticks the child."""
 
     def __init__(self, name: str, child: Behaviour, duration: float) -> None:
@@ -182,10 +168,6 @@ class Delay(Timed, Decorator):
             self.status = RUNNING
             yield self
 
-    def update(self) -> Status:
-        self.feedback_message = self.decorated.feedback_message
-        return self.decorated.status
-
 
 class Retry(Timed, py_trees.decorators.Retry):
     """Ticks the child again after a failure, with a pause [s] before.
@@ -195,11 +177,7 @@ class Retry(Timed, py_trees.decorators.Retry):
 
     def __init__(self, name: str, child: Behaviour, num_failures: int, pause: float = 0.0) -> None:
         super().__init__(name, child, num_failures)
-        self.num_failures = num_failures
         self.pause = pause
-
-    def initialise(self) -> None:
-        py_trees.decorators.Retry.initialise(self)
 
     def tick(self) -> Iterator[Behaviour]:
         has_failed = self.status is RUNNING and self.decorated.status is FAILURE

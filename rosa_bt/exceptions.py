@@ -2,14 +2,14 @@
 
 import logging
 from collections.abc import Iterable
-from difflib import get_close_matches
 from pathlib import Path
 from sys import stdlib_module_names
 from traceback import walk_tb
-from typing import Protocol
-from weakref import ReferenceType, WeakKeyDictionary, WeakSet, ref
+from weakref import WeakKeyDictionary
 
 from py_trees.behaviour import Behaviour
+
+from kb import UnknownName
 
 _log = logging.getLogger(__name__)
 _OURS = ("kb", "rosa_bt", "rosa_pddl", "missions", "py_trees")
@@ -47,14 +47,8 @@ class ExportError(RosaBtError, ValueError):
 
 
 def hint(name: str, names: Iterable[str], what: str) -> str:
-    """Return the end of a message about an unknown name: similar names, and those that exist."""
-    existing = sorted(names)
-    if not existing:
-        return f"there are no {what}"
-    similar = get_close_matches(name, existing, n=3)
-    shown = ", ".join(existing[:20]) + (", ..." if len(existing) > 20 else "")
-    guess = f"did you mean {' or '.join(map(repr, similar))}? " if similar else ""
-    return f"{guess}{what}: {shown}"
+    """Return the end of a message about an unknown name: similar names, or those that exist."""
+    return str(UnknownName(what, name, names)).rpartition("; ")[2]
 
 
 def in_words(error: Exception) -> str:
@@ -73,19 +67,13 @@ def line_in_words(error: Exception, *ours: str) -> str:
     return place
 
 
-_logged: WeakSet[Behaviour] = WeakSet()
-_listeners: WeakKeyDictionary[Behaviour, ReferenceType["ErrorListener"]] = WeakKeyDictionary()
+_logged: WeakKeyDictionary[Behaviour, set[tuple[str, str, str]]] = WeakKeyDictionary()
+_errors: WeakKeyDictionary[Behaviour, list[tuple[Behaviour, Exception]]] = WeakKeyDictionary()
 
 
-class ErrorListener(Protocol):
-    """Hears of the exceptions that the behaviours of a tree raise."""
-
-    def note_error(self, behaviour: Behaviour, error: Exception) -> None: ...
-
-
-def on_error(root: Behaviour, listener: ErrorListener) -> None:
-    """Call `note_error` with every exception that a behaviour of this tree raises."""
-    _listeners[root] = ref(listener)
+def errors_of(root: Behaviour) -> list[tuple[Behaviour, Exception]]:
+    """Return the behaviours of a tree that raised, with their exceptions; its runner empties it."""
+    return _errors.setdefault(root, [])
 
 
 def path_of(behaviour: Behaviour) -> list[Behaviour]:
@@ -97,16 +85,17 @@ def path_of(behaviour: Behaviour) -> list[Behaviour]:
 
 
 def report(behaviour: Behaviour, error: Exception, note: str = "") -> None:
-    """Make an exception the feedback of its behaviour, and tell the tree.
+    """Make an exception the feedback of its behaviour, and enter it among the errors of the tree.
 
-    Log the first traceback.
+    Log the traceback the first time that a behaviour of this kind and name raises at this line.
     """
     behaviour.feedback_message = in_words(error) + note
-    if behaviour not in _logged:
-        _logged.add(behaviour)
-        kind = type(behaviour).__name__
+    root = path_of(behaviour)[-1]
+    kind = type(behaviour).__name__
+    place = kind, behaviour.name, line_in_words(error)
+    logged = _logged.setdefault(root, set())
+    if place not in logged:  # a plan executor makes a new behaviour for each try of a step
+        logged.add(place)
         _log.error("%s %r: %s", kind, behaviour.name, behaviour.feedback_message, exc_info=error)
-    reference = _listeners.get(path_of(behaviour)[-1])
-    listener = None if reference is None else reference()
-    if listener is not None:
-        listener.note_error(behaviour, error)
+    if root in _errors:
+        _errors[root].append((behaviour, error))

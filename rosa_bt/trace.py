@@ -2,32 +2,30 @@
 
 It can be replayed.
 
-The first line names the version and the model. Each other line is a tick, with the events since the
-tick before. The tree and the visited behaviours are left out of a line if they are as in the tick
-before. Each line is written when its tick is over, so a program that is killed loses only the tick
+The first line names the version and the model. Each other line is a tick, without what is as in the
+tick before. It is written when its tick is over, so a program that is killed loses only the tick
 that was under way.
 """
 
 import json
+import math
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from threading import get_ident
+from types import SimpleNamespace
 from typing import Any, NamedTuple, Self, TextIO
 
 from py_trees.behaviour import Behaviour
-from py_trees.common import Status
 from py_trees.visitors import VisitorBase
 
-from kb import Event, InvalidValue, KnowledgeBase, Model, StatusChange
-from kb import Status as ElementStatus
-from rosa_bt.behaviours import KbBehaviour, halt
-from rosa_bt.exceptions import TraceError
+from kb import Event, KnowledgeBase, Model
+from rosa_bt.behaviours import KbBehaviour
+from rosa_bt.exceptions import TraceError, errors_of, in_words, path_of
 from rosa_bt.runner import TreeRunner
 
-_VERSION = 3
+_VERSION = 4
 _CAUSED_BY_TIME = ("stale", "dwell", "lapse")
 
 
@@ -50,16 +48,6 @@ class Visit(NamedTuple):
     feedback: str
 
 
-class Decision(NamedTuple):
-    """A change of an action: of its request or its feasibility."""
-
-    action: str
-    what: str
-    """One of "requested", "completed", "failed", "abandoned", "unfeasible" and "feasible"."""
-    reason: str
-    """Why, in the words of the knowledge base; empty if no reason was given."""
-
-
 class Told(NamedTuple):
     """An event since the tick before, and who told it when."""
 
@@ -70,7 +58,10 @@ class Told(NamedTuple):
 
 
 class Tick(NamedTuple):
-    """One tick: its number, from 0, its time [s], what was ticked, and what became known."""
+    """One tick: its number, from 0, its time [s], what was ticked, and what became known.
+
+    A tick that an exception or Ctrl-C cut short is there as far as it got.
+    """
 
     number: int
     time: float
@@ -81,30 +72,18 @@ class Tick(NamedTuple):
     events: tuple[Told, ...] = ()
     """The events since the tick before, in order; a replay tells again those that the tree did not
     tell."""
-    reasons: tuple[str, ...] = ()
-    """The reason for each time that an action became unfeasible in these events."""
-    is_interrupted: bool = False
-    """Whether the tick was cut short, e.g. by Ctrl-C, and the tree halted; all its events count as
-    before the tick."""
     errors: tuple[tuple[str, str], ...] = ()
-    """The behaviours that raised since the tick before, by name, and the text of the exception."""
+    """The behaviours that raised in the tick, by name, and the text of the exception."""
 
-    @property
-    def decisions(self) -> tuple[Decision, ...]:
-        """The requests, results and changes of feasibility of actions since the last tick."""
-        decisions = []
-        reasons = iter(self.reasons)
-        for event, _ in self.events:
-            if event.verb == "request_action":
-                decisions.append(Decision(event.subject, "requested", ""))
-            elif event.verb == "cancel_action":
-                decisions.append(Decision(*event.arguments))
-            for change in event.changes:
-                if _becomes_unfeasible(change):
-                    decisions.append(Decision(change.name, "unfeasible", next(reasons, "")))
-                elif change.kind == "action" and change.old is ElementStatus.UNFEASIBLE:
-                    decisions.append(Decision(change.name, "feasible", ""))
-        return tuple(decisions)
+
+_NO_TICK = Tick(-1, -math.inf, (), ())
+_READERS: Mapping[str, Callable[[Any], object]] = {
+    "tree": lambda node: Node(*node),
+    "visited": lambda visit: Visit(*visit),
+    "events": lambda told: Told(Event.from_json(told[0]), told[1]),
+    "errors": tuple,
+}
+"""How one entry of a field of a tick is read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,11 +97,8 @@ class Trace:
     ticks: tuple[Tick, ...]
 
     def __str__(self) -> str:
-        lines = [_first_line(self.model)]
-        for before, tick in pairwise([None, *self.ticks]):
-            if tick is not None:
-                lines.append(_tick_line(tick, before))
-        return "".join(lines)
+        lines = map(_tick_line, self.ticks, (_NO_TICK, *self.ticks))
+        return _first_line(self.model) + "".join(lines)
 
 
 class TraceVisitor(VisitorBase):
@@ -148,21 +124,11 @@ class TraceVisitor(VisitorBase):
             self._file = Path(path).open("w", buffering=1)  # noqa: SIM115  # closed by close()
             self._file.write(_first_line(kb.model.name))
         self._ticks: deque[Tick] = deque(maxlen=keep)
-        self._count = 0
         self._written = 0  # number of the last event that is written
         self._tree: tuple[Node, ...] = ()
         self._numbers: dict[Behaviour, int] = {}
-        self._reasons: dict[int, list[str]] = {}
-        self._errors: list[tuple[str, str]] = []
-        self._clear()
-        kb.log.witnesses += (self._witness,)
-
-    def _clear(self) -> None:
-        self._begun = self._kb.log.last
         self._thread: int | None = None
-        self._seen: list[tuple[Behaviour, Status, str]] = []
-        self._known: list[int] = []  # for each of them, the last event that it knew of
-        self._own: set[int] = set()  # numbers of the events that the tree told
+        kb.log.witnesses += (self._witness,)
 
     @property
     def trace(self) -> Trace:
@@ -171,66 +137,45 @@ class TraceVisitor(VisitorBase):
 
     def initialise(self) -> None:
         """Begin a tick: what this thread tells the knowledge base until its end is the tree's."""
-        if self._thread is not None:
-            self.interrupt()
-        self._clear()
+        self._begun = self._kb.log.last
+        self._seen: list[tuple[Behaviour, str, str]] = []
+        self._known: list[int] = []  # for each of them, the last event that it knew of
+        self._own: set[int] = set()  # numbers of the events that the tree told
         self._thread = get_ident()
 
     def run(self, behaviour: Behaviour) -> None:
-        self._seen.append((behaviour, behaviour.status, behaviour.feedback_message))
+        self._seen.append((behaviour, behaviour.status.name, behaviour.feedback_message))
         known = self._kb.log.last
         if isinstance(behaviour, KbBehaviour) and behaviour.last_event is not None:
             known = behaviour.last_event
         self._known.append(known)
 
-    def error(self, behaviour: Behaviour, error: Exception) -> None:
-        """Note that a behaviour raised; the tree calls it."""
-        self._errors.append((behaviour.name, behaviour.feedback_message))
-
     def finalise(self) -> None:
+        if self._thread is None or not self._seen:
+            return
+        self._thread = None
+        root = path_of(self._seen[-1][0])[-1]
         if not all(node in self._numbers for node, _, _ in self._seen):
-            self._number()
-        visits = [
-            Visit(self._numbers[node], status.name, text) for node, status, text in self._seen
-        ]
+            self._number(root)
+        before = self._ticks[-1] if self._ticks else _NO_TICK
+        visited = tuple(Visit(self._numbers[node], *shown) for node, *shown in self._seen)
+        if visited == before.visited:
+            visited = before.visited  # keep one copy in memory
         last = max([self._begun, *self._known, *self._own])  # later events are of the next tick
-        self._write(tuple(visits), last)
-
-    def interrupt(self) -> None:
-        """End a tick that was cut short.
-
-        A runner calls this instead of `finalise`, after it has halted the tree.
-        """
-        self._write((), None)
-
-    def _write(self, visited: tuple[Visit, ...], last: int | None) -> None:
-        """Write a tick with its events up to a number; with all events if it was interrupted."""
-        is_interrupted = last is None
-        told = []
-        reasons = []
         with self._kb.reading():
             events = self._kb.log.since(self._written)
             time = float(self._kb.now)
-        for event in events:
-            if last is None or event.number <= last:
-                place = -1 if is_interrupted else self._place(event.number)
-                told.append(Told(Event(*event[:7]), place))  # without what is not in a file
-                count = sum(map(_becomes_unfeasible, event.changes))
-                reasons += self._reasons.pop(event.number, [""] * count)
-                self._written = event.number
-        before = self._ticks[-1] if self._ticks else None
-        if before is not None and visited == before.visited:
-            visited = before.visited  # keep one copy in memory
-        tick = Tick(
-            *(self._count, time, self._tree, visited, tuple(told), tuple(reasons)),
-            *(is_interrupted, tuple(self._errors)),
-        )
+        told = [  # without what is not in a file
+            Told(Event(*event[:7]), self._place(event.number))
+            for event in events
+            if event.number <= last
+        ]
+        self._written = max(last, self._written)
+        errors = [(node.name, in_words(error)) for node, error in errors_of(root)]
+        tick = Tick(before.number + 1, time, self._tree, visited, tuple(told), tuple(errors))
         if self._file is not None:
             self._file.write(_tick_line(tick, before))
         self._ticks.append(tick)
-        self._count += 1
-        self._errors.clear()
-        self._thread = None
 
     def _place(self, number: int) -> int | None:
         if number <= self._begun:
@@ -243,21 +188,16 @@ class TraceVisitor(VisitorBase):
         return len(self._known)
 
     def _witness(self, event: Event) -> None:
-        """Note whether the tree told the event, and why actions became unfeasible with it.
+        """Note whether the tree told the event.
 
         What time causes while a tick is under way is not told by the tree: it is replayed in its
         place.
         """
         if self._thread == get_ident() and event.verb not in _CAUSED_BY_TIME:
             self._own.add(event.number)
-        names = [change.name for change in event.changes if _becomes_unfeasible(change)]
-        if names:
-            self._reasons[event.number] = [self._kb.why(self._kb.actions[name]) for name in names]
 
     def close(self) -> None:
         """Stop recording, and close the file."""
-        if self._thread is not None:
-            self.interrupt()
         log = self._kb.log
         log.witnesses = tuple(other for other in log.witnesses if other != self._witness)
         if self._file is not None:
@@ -269,24 +209,21 @@ class TraceVisitor(VisitorBase):
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _number(self) -> None:
-        depths: dict[Behaviour, int] = {}
-        pending = [(self._seen[-1][0], 0)]
-        while pending:
-            behaviour, depth = pending.pop()
-            depths[behaviour] = depth
-            pending += [(child, depth + 1) for child in reversed(behaviour.children)]
-        for behaviour, _, _ in self._seen:  # a step of a plan may have left the tree meanwhile
-            depths.setdefault(behaviour, 1)
-        self._numbers = {behaviour: number for number, behaviour in enumerate(depths)}
-        nodes = [Node(depth, type(node).__name__, node.name) for node, depth in depths.items()]
-        self._tree = tuple(nodes)
+    def _number(self, root: Behaviour) -> None:
+        seen = [
+            node for node, *_ in self._seen
+        ]  # a step of a plan may have left the tree meanwhile
+        nodes = dict.fromkeys([*_parents_first(root), *seen])
+        self._numbers = {node: number for number, node in enumerate(nodes)}
+        self._tree = tuple(
+            Node(len(path_of(node)) - 1, type(node).__name__, node.name) for node in nodes
+        )
 
 
-def _becomes_unfeasible(change: StatusChange) -> bool:
-    """Tell whether an action became unfeasible."""
-    unfeasible = ElementStatus.UNFEASIBLE
-    return change.kind == "action" and change.new is unfeasible and change.old is not unfeasible
+def _parents_first(root: Behaviour) -> Iterator[Behaviour]:
+    yield root
+    for child in root.children:
+        yield from _parents_first(child)
 
 
 def _line(record: dict[str, object]) -> str:
@@ -297,40 +234,32 @@ def _first_line(model: str) -> str:
     return _line({"rosa_bt_trace": _VERSION, "model": model})
 
 
-def _tick_line(tick: Tick, before: Tick | None) -> str:
-    """Return the line of a tick that follows another; `before` is None for the first tick."""
-    line: dict[str, object] = {"tick": tick.number, "time": tick.time}
-    if before is None or tick.tree != before.tree:
-        line["tree"] = tick.tree
-    if before is None or tick.visited != before.visited:
-        line["visited"] = tick.visited
-    others = {
-        "events": [(event.to_json(), place) for event, place in tick.events],
-        "reasons": tick.reasons,
-        "interrupted": tick.is_interrupted,
-        "errors": tick.errors,
-    }
-    return _line(line | {key: value for key, value in others.items() if value})
+def _tick_line(tick: Tick, before: Tick) -> str:
+    """Return the line of a tick that follows another."""
+    events = [(event.to_json(), place) for event, place in tick.events]
+    line = tick._asdict() | {"events": events}
+    for name, value, earlier in zip(tick._fields, tick, before, strict=True):
+        if value == earlier:
+            del line[name]
+    return _line(line)
 
 
 def read_trace(path: str | Path) -> Trace:
     """Read a trace from a file.
 
     Raises:
-        TraceError: the file cannot be read, or is not a trace; the message names the line.
+        OSError: the file cannot be read.
+        TraceError: it is not a trace; the message names the line.
     """
-    try:
-        content = Path(path).read_bytes()
-    except OSError as error:
-        raise TraceError(f"cannot read the trace {path}: {error}") from error
-    whole = content.rpartition(b"\n")[0] or content  # a program that is killed cuts the last line
+    content = Path(path).read_bytes()
+    whole = content.rpartition(b"\n")[0]  # a program that is killed cuts the last line
     model = None
-    ticks = list[Tick]()
+    ticks = [_NO_TICK]
     for number, text in enumerate(whole.splitlines(), start=1):
         try:
             line = json.loads(text)
             if model is not None:
-                ticks.append(_read_tick(line, ticks[-1] if ticks else Tick(0, 0.0, (), ())))
+                ticks.append(_read_tick(line, ticks[-1]))
                 continue
             version = line["rosa_bt_trace"]
             model = str(line["model"])
@@ -338,33 +267,25 @@ def read_trace(path: str | Path) -> Trace:
             problem = f"not a line of a trace ({type(error).__name__}: {error})"
             raise TraceError(f"{path}:{number}: {problem}") from None
         if version != _VERSION:
-            how = f"this program reads version {_VERSION}; see `pytest --update-traces`"
+            how = f"this program reads version {_VERSION}"
             raise TraceError(f"{path} has version {version}; {how}")
     if model is None:
         raise TraceError(f"{path} is empty; a trace begins with a line that says what it is")
-    return Trace(model, tuple(ticks))
+    return Trace(model, tuple(ticks[1:]))
 
 
 def _read_tick(line: dict[str, Any], before: Tick) -> Tick:
-    return Tick(
-        number=int(line["tick"]),
-        time=float(line["time"]),
-        tree=tuple(Node(*node) for node in line.get("tree", before.tree)),
-        visited=tuple(Visit(*visit) for visit in line.get("visited", before.visited)),
-        events=tuple(
-            Told(Event.from_json(event), place) for event, place in line.get("events", ())
-        ),
-        reasons=tuple(line.get("reasons", ())),
-        is_interrupted=line.get("interrupted", False),
-        errors=tuple((name, text) for name, text in line.get("errors", ())),
-    )
+    for name, read in _READERS.items():
+        if name in line:
+            line[name] = tuple(map(read, line[name]))
+    return before._replace(**line)
 
 
 def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Behaviour]) -> Trace:
     """Tell a new knowledge base the events of a trace, tick a new tree, and return its trace.
 
-    The two traces are equal if model and tree are the same and every leaf decides by the knowledge
-    base alone.
+    The two traces are equal if model and tree are the same, every leaf decides by the knowledge
+    base alone, and no tick was cut short.
 
     Args:
         trace: a trace from the first tick on, of a knowledge base whose log was complete.
@@ -376,48 +297,30 @@ def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Be
         kb.KnowledgeBaseError: an event names something that the model does not have.
     """
     ticks = trace.ticks
-    if ticks and ticks[0].number:
-        advice = "keep all ticks, or write them to a file"
-        raise TraceError(f"the trace begins at tick {ticks[0].number}; {advice}")
     first = min([event.number for tick in ticks for event, _ in tick.events], default=1)
-    if first != 1:
-        raise TraceError(f"the trace begins at event {first}; the log no longer held those before")
-    clock = _Clock()
-    if ticks:
-        clock.now = ticks[0].time
-    kb = KnowledgeBase(model, clock=clock, is_timed=False)
-    runner = TreeRunner(build(kb), clock=clock)
+    if first != 1 or (ticks and ticks[0].number):
+        advice = "keep all ticks, or write them to a file"
+        raise TraceError(f"the trace lacks its first ticks, or events before them; {advice}")
+    clock = SimpleNamespace(now=ticks[0].time if ticks else 0.0)
+    kb = KnowledgeBase(model, clock=lambda: clock.now, is_timed=False)
+    runner = TreeRunner(build(kb), clock=lambda: clock.now)
     with _Replay(kb, clock, keep=len(ticks) or 1) as visitor:
-        runner.tree.add_visitor(visitor)
+        runner.add_visitor(visitor)
         for tick in ticks:
             visitor.tell(event for event, place in tick.events if place == -1)
-            if tick.is_interrupted:
-                clock.now = tick.time
-                halt(runner.tree.root)
-                visitor.interrupt()
-            else:
-                visitor.expect(tick)
-                runner.tick()
+            visitor.expect(tick)
+            runner.tick()
         runner.shutdown()
         return visitor.trace
-
-
-class _Clock:
-    now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class _Replay(TraceVisitor):
     """Tells the events of others than the tree at the same place within a tick."""
 
-    def __init__(self, kb: KnowledgeBase, clock: _Clock, *, keep: int) -> None:
+    def __init__(self, kb: KnowledgeBase, clock: SimpleNamespace, *, keep: int) -> None:
         super().__init__(kb, keep=keep)
         self._clock = clock
-        self._end = clock.now
-        self._within: deque[tuple[Event, int]] = deque()
-        self._own_events: list[Event] = []
+        self._tick = _NO_TICK
         kb.subscribe(lambda event: self._follow())
 
     def tell(self, events: Iterable[Event]) -> None:
@@ -425,23 +328,12 @@ class _Replay(TraceVisitor):
         self._thread = None  # these events do not count as told by the tree
         for event in events:
             self._clock.now = event.time
-            try:
-                self._kb.replay(event)
-            except InvalidValue as error:
-                problem = f"{event.verb}{event.arguments!r} cannot be told again"
-                raise TraceError(f"{problem}: {error}") from error
+            self._kb.replay(event)
         self._thread = thread
 
     def expect(self, tick: Tick) -> None:
-        self._end = tick.time
-        self._within.clear()
-        self._own_events.clear()
-        for event, place in tick.events:
-            if place is None:
-                self._own_events.append(event)
-            elif place >= 0:
-                self._within.append((event, place))
-        self._set_clock()
+        self._tick = tick
+        self._follow()
 
     def initialise(self) -> None:
         super().initialise()
@@ -452,22 +344,24 @@ class _Replay(TraceVisitor):
         self._follow()
 
     def finalise(self) -> None:
-        self._clock.now = self._end
-        self.tell(event for event, _ in self._within)
+        self.tell(event for event, place in self._left() if place is not None)
+        self._clock.now = self._tick.time
         super().finalise()
+
+    def _left(self) -> list[Told]:
+        """Return the events of the tick that have not happened again yet."""
+        last = self._kb.log.last
+        return [told for told in self._tick.events if told.event.number > last]
 
     def _follow(self) -> None:
         """Tell the events that are due, and set the clock to the next event of the tree."""
-        log = self._kb.log
-        while self._thread is not None and self._within:
-            event, place = self._within[0]
-            if place > len(self._seen) or event.number != log.last + 1:
+        left = self._left()
+        while self._thread is not None and left:
+            event, place = left[0]
+            is_due = place is not None and place <= len(self._seen)
+            if not is_due or event.number != self._kb.log.last + 1:
                 break
-            self._within.popleft()
             self.tell([event])
-        if self._thread is not None:
-            self._set_clock()
-
-    def _set_clock(self) -> None:
-        later = [event.time for event in self._own_events if event.number > self._kb.log.last]
-        self._clock.now = later[0] if later else self._end
+            del left[0]
+        times = [event.time for event, place in left if place is None]
+        self._clock.now = times[0] if times else self._tick.time

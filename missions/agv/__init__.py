@@ -3,7 +3,7 @@
 Corridors and the configuration in each are planned together.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache, lru_cache, partial
 from pathlib import Path
 from types import MappingProxyType
@@ -14,10 +14,10 @@ from missions import SUMMARIES
 from missions.agv.joint import Modes
 from missions.agv.model import NAVIGATE, PAPER, Building, building_model
 from missions.agv.tree import PddlNames, PlanningState, Route, agv_tree
-from missions.agv.world import AgvKind
+from missions.agv.world import AgvKind, Incident
 from missions.engine.mission import Mission, Percepts
 
-__all__ = ["MISSION", "PAPER", "WEIGHTS", "agv_mission"]
+__all__ = ["Incident", "MISSION", "PAPER", "WEIGHTS", "agv_mission"]
 
 WEIGHTS: Final[Mapping[str, float]] = MappingProxyType(
     {"time": 1.0, "energy": 0.02, "collisions": 10.0}
@@ -29,9 +29,16 @@ LIMITED: Final = ("energy",)
 
 
 def agv_mission(
-    name: str, summary: str, building: Building, weights: Mapping[str, float] = WEIGHTS
+    name: str,
+    summary: str,
+    building: Building,
+    weights: Mapping[str, float] = WEIGHTS,
+    incidents: Sequence[Incident] = (),
 ) -> Mission:
-    """Make a mission of a map; the weights are those of `missions.agv.joint.Question`."""
+    """Make a mission of a map and what happens there.
+
+    The weights are those of `missions.agv.joint.Question`.
+    """
 
     @cache  # takes time to make, and a mission that is only listed does not need it
     def pddl() -> PddlNames:
@@ -58,10 +65,12 @@ def agv_mission(
             "cross": lambda kb, percepts, step: planning_state(kb, percepts).cross(step),
         },
         facts=lambda kb, percepts: planning_state(kb, percepts).facts,
-        world=AgvKind(building, weights),
+        world=AgvKind(building, weights, incidents),
         why_not=why_not,
         selects=True,
     )
 
 
-MISSION = agv_mission("agv", SUMMARIES["agv"], PAPER)
+MISSION = agv_mission(
+    "agv", SUMMARIES["agv"], PAPER, incidents=(Incident("c1", "kinect"), Incident("c3"))
+)

@@ -11,7 +11,7 @@ from functools import cache, cached_property, lru_cache
 from itertools import product
 from math import floor, inf, nan
 from operator import add, mul
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from kb import Choice, KnowledgeBase
 from missions.agv.model import NAVIGATE, Building, Corridor, checked
@@ -37,6 +37,9 @@ class Amounts(NamedTuple):
     time: int = 0
     energy: int = 0
     collisions: int = 0
+
+    def plus(self, other: "Amounts") -> "Amounts":
+        return Amounts(*map(add, self, other))
 
     @property
     def in_units(self) -> Mapping[str, float]:
@@ -99,11 +102,7 @@ class Modes:
         return Mode("", Choice({}, configurations), frozenset(active))
 
     def under(self, conditions: Mapping[str, float]) -> list[Mode]:
-        """Return the modes that are possible while attributes have these values.
-
-        Raises:
-            MissionError: the model lacks the speed, the energy or the collisions of a mode.
-        """
+        """Return the modes that are possible while attributes have these values."""
         if self._revision != self._kb.revision:
             self._revision = self._kb.revision
             self._by_conditions = {}
@@ -132,29 +131,18 @@ class Modes:
 
     def _mode(self, choice: Choice, components: tuple[str, ...]) -> Mode:
         model = self._kb.model
-        parts = [
-            *(model.designs[name] for name in choice.designs.values()),
-            *(model.configurations[name] for name in choice.configurations.values()),
+        configurations = [model.configurations[part] for part in choice.configurations.values()]
+        parts = [*(model.designs[part] for part in choice.designs.values()), *configurations]
+        causers = [*parts, *(model.components[component] for component in components)]
+        speeds: list[Any] = [
+            part.parameters["speed"] for part in configurations if "speed" in part.parameters
         ]
+        amounts = {"energy": 0.0, "safety": 0.0}
+        for estimation in model.estimations:
+            if estimation.attribute in amounts and estimation.causer in causers:
+                amounts[estimation.attribute] -= estimation.adds
         name = " ".join(part.name for part in parts)
-        speeds = [
-            model.configurations[part].parameters.get("speed")
-            for part in choice.configurations.values()
-        ]
-        speed = next((value for value in speeds if value is not None), None)
-        title = f"speed [m/s], a parameter of the configurations of {name},"
-        amounts = [float(checked(title, speed, 1e-6))]
-        causers = {id(part) for part in parts}
-        causers |= {id(model.components[component]) for component in components}
-        for attribute in ("energy", "safety"):
-            added = [
-                estimation.adds
-                for estimation in model.estimations
-                if estimation.attribute == attribute and id(estimation.causer) in causers
-            ]
-            title = f"what {name} takes from {attribute}, by estimations of the kind 'negative',"
-            amounts.append(checked(title, 0.0 - sum(added) if added else None))
-        return Mode(name, choice, frozenset(components), *amounts)
+        return Mode(name, choice, frozenset(components), float(speeds[0]), **amounts)
 
 
 def _names(choice: Choice) -> list[str]:
@@ -258,7 +246,10 @@ State = tuple[Place, Mode]
 
 
 class _Way(NamedTuple):
-    """A corridor in one direction, or a part of it, and the conditions there."""
+    """A corridor in one direction, or a part of it, and the conditions there.
+
+    `back_m` is what is driven back before, to the place where the corridor begins [m].
+    """
 
     corridor: str
     origin: str
@@ -266,6 +257,12 @@ class _Way(NamedTuple):
     length_m: float
     passed: float  # obstacles
     conditions: Mapping[str, float]
+    back_m: float = 0.0
+
+    def takes(self, mode: Mode) -> Amounts:
+        """Return what the way takes in a mode."""
+        there = crossing(mode, self.length_m, self.passed)
+        return there.plus(crossing(mode, self.back_m, 0.0)) if self.back_m else there
 
 
 class Task:
@@ -337,7 +334,7 @@ class Task:
         legs = []
         for way in self._ways(place):
             for mode in self.modes.under(way.conditions):
-                takes = crossing(mode, way.length_m, way.passed)
+                takes = way.takes(mode)
                 leg = Leg(way.corridor, way.origin, way.to, mode, way.conditions, takes)
                 legs.append((leg, self._cost(takes)))
         return legs
@@ -352,7 +349,11 @@ class Task:
         return round(total)
 
     def _ways(self, place: Place) -> Iterator[_Way]:
-        """Yield the corridors at a place; within one: on to its end, or back and into another."""
+        """Yield the corridors at a place; within one: on to its end, back, or into another.
+
+        The robot knows the obstacles that it has passed, so none count on the way back. From one
+        corridor into another it can drive in one mode; then the tree does both as one action.
+        """
         exits = self.building.exits[place.name]
         if not place.corridor:
             for corridor in exits:
@@ -363,15 +364,13 @@ class Task:
         ahead = self._way(inside, place.name, inside.length_m - back_m)
         light = ahead.conditions["light"]
         yield ahead
-        # the robot knows the obstacles that it has passed, so none count on the way back
-        if place.name == self.goal:
-            conditions = {"light": light, "obstacles": 0.0}
-            yield _Way(inside.name, ahead.to, place.name, back_m, 0.0, conditions)
         for other in exits:
             if other is not inside:
                 way = self._way(other, place.name, other.length_m)
                 both = {**way.conditions, "light": min(light, way.conditions["light"])}
-                yield way._replace(length_m=way.length_m + back_m, conditions=both)
+                yield way._replace(back_m=back_m, conditions=both)
+        conditions = {"light": light, "obstacles": 0.0}
+        yield _Way(inside.name, ahead.to, place.name, back_m, 0.0, conditions)
 
     def _way(self, corridor: Corridor, origin: str, length_m: float) -> _Way:
         """Return the last part of a corridor, of that length [m], on the way from one end."""
@@ -413,8 +412,8 @@ class JointPlanner:
         legs = []
         total = Amounts()
         for move in path.moves:
-            takes = Amounts(*map(add, task.switching(mode, move.what.mode)[0], move.what.takes))
-            total = Amounts(*map(add, total, takes))
+            takes = task.switching(mode, move.what.mode)[0].plus(move.what.takes)
+            total = total.plus(takes)
             legs.append(replace(move.what, takes=takes, why=self._why_mode(move.what)))
             mode = move.what.mode
         return Answer(tuple(legs), True, path.cost, total, _why(task, legs, total))
@@ -427,30 +426,25 @@ class JointPlanner:
         return f"{choice} feasible with light {light:g} and {obstacles:g} obstacles/m"
 
     def _why_not(self, task: Task) -> str:
-        corridors = self._building.corridors.values()
-        blocked = [part for part in corridors if not self._modes.under(task.demands(part))]
-        why = ""
-        if blocked:
-            situation = self._kb.situation(task.demands(blocked[0]))
-            why = situation.why(situation.functions[NAVIGATE])
-        if len(blocked) == len(corridors):
-            errors = [entry for entry in self._kb.model.check() if entry.severity == "error"]
-            faults = "".join(f"{entry.message}, {entry.advice}; " for entry in errors[:1])
-            title = "no corridor can be crossed in any configuration"
-            return f"{title}; {faults}in {blocked[0].name}, {why}"
         alone = {}
         for name in task.limited:
             alone[name] = self.plan(replace(task.question, weights={name: 1e3}, limits={}))
-        if not alone or not all(answer.is_solved for answer in alone.values()):
-            names = ", ".join(corridor.name for corridor in blocked[:5])
-            because = f"{names} cannot be crossed: {why}" if blocked else "no way"
-            return f"{task.goal} cannot be reached from {task.start[0].name}; {because}"
-        limits = [
-            f"{name} {task.question.limits[name]:g} "
-            f"(alone {answer.takes.in_units[name]:.6g} or more)"
-            for name, answer in alone.items()
-        ]
-        return f"no way keeps within all limits: {', '.join(limits)}"
+        if alone and all(answer.is_solved for answer in alone.values()):
+            limits = [
+                f"{name} {task.question.limits[name]:g} "
+                f"(alone {answer.takes.in_units[name]:.6g} or more)"
+                for name, answer in alone.items()
+            ]
+            return f"no way keeps within all limits: {', '.join(limits)}"
+        reason = f"{task.goal} cannot be reached from {task.start[0].name}"
+        corridors = self._building.corridors.values()
+        blocked = [part for part in corridors if not self._modes.under(task.demands(part))]
+        if not blocked:
+            return reason
+        situation = self._kb.situation(task.demands(blocked[0]))
+        why = situation.why(situation.functions[NAVIGATE])
+        names = ", ".join(corridor.name for corridor in blocked[:5])
+        return f"{reason}; {names} cannot be crossed: {why}"
 
 
 def _why(task: Task, legs: list[Leg], takes: Amounts) -> str:

@@ -173,51 +173,40 @@ class Cross(RosaAction):
 
     def initialise(self) -> None:
         """Measure what the corridor demands, and select the planned configuration."""
-        self._leg = leg = self._choose()
-        if leg is not None:
-            way = headings(self._route.building).index((leg.corridor, leg.origin)) + 1.0
-            self._route.measure({**leg.conditions, "way": way})
-            asked = next(
-                (
-                    action.number
-                    for action in self.kb.required_actions
-                    if action.action == self.action
-                ),
-                None,
-            )
-            self._select(
-                leg, asked
-            )  # the action itself is the cause, not the measurements just made
+        self._leg = self._choose()
+        if self._leg is not None:
+            request = next(each for each in self.kb.required_actions if each.action == self.action)
+            self._face(self._leg, request.number)
 
     def update(self) -> Status:
-        """Check whether the other end is reached.
-
-        Take over a new plan for the same corridor and direction.
-        """
+        """Check whether the other end is reached; take over a new plan for the same corridor."""
         leg = self._leg
         if leg is None:
             self.feedback_message = f"{self.corridor} does not lead from {self._route.at}"
             return Status.FAILURE
         if self.is_crossed:
             return Status.SUCCESS
-        anew = self._choose()
-        if anew is not None and anew.to == leg.to:
-            self._leg = leg = anew
-        choice = _choice(leg)
-        kb = self.kb
-        selected = [kb.designs[name].is_selected for name in choice.designs.values()]
-        if not all(
-            [
-                *selected,
-                *(kb.configurations[name].is_selected for name in choice.configurations.values()),
-            ]
-        ):
-            self._select(leg)  # the plan is new, or a plan was pending at the beginning
+        self._leg = anew = self._choose() or leg
+        if anew.to != leg.to:
+            self._face(anew)
+        elif not self._is_selected(anew):
+            self._select(anew)  # the plan is new, or a plan was pending at the beginning
         return Status.RUNNING
 
     def terminate(self, new_status: Status) -> None:
         """Set the demands back to those where it stands: this corridor lies ahead no more."""
         self._route.measure(self._route.standing)
+
+    def _face(self, leg: Leg, cause: int | None = None) -> None:
+        way = headings(self._route.building).index((leg.corridor, leg.origin)) + 1.0
+        self._route.measure({**leg.conditions, "way": way})
+        self._select(leg, cause)  # the action is the cause, not the measurements just made
+
+    def _is_selected(self, leg: Leg) -> bool:
+        choice = _choice(leg)
+        designs = [self.kb.designs[name] for name in choice.designs.values()]
+        configurations = [self.kb.configurations[name] for name in choice.configurations.values()]
+        return all(view.is_selected for view in (*designs, *configurations))
 
     def _select(self, leg: Leg, cause: int | None = None) -> None:
         if self.kb.pending_plan is None:  # else both would be abandoned together
@@ -426,6 +415,9 @@ class PddlNames:
                 f"(possible {things})": True,
                 **self._numbers("crossing", things, leg.takes, cost),
             }
+        for corridor in () if place.corridor else self.building.exits[place.name]:
+            way = self.vias[Via(corridor.name, "", place.name)]  # that led back here ends now
+            facts |= {f"(possible {way} {mode})": True for mode in self.by_mode}
         for before, mode in {**self.by_mode, self.now: now}.items():
             for after, other in self.by_mode.items():
                 costs = task.switching(mode, other)

@@ -1,7 +1,6 @@
 """The building as a world of missions, with its incidents and the components of the vehicle."""
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
@@ -27,7 +26,6 @@ from missions.engine.mission import (
 from missions.engine.settings import Constants, declared, setting
 
 _OWN: Final = "own choice"
-_INCIDENT: Final = re.compile(r"(?:(\S+) (fails|recovers)|(dark|light)) in (\S+)")
 _PAPER: Final = "ROSA paper, AGV use case; where along the corridor: own choice"
 
 _STAND: Final = Aim(0.0, 0.0)
@@ -41,12 +39,7 @@ _WELL_INSIDE_M: Final = 1.0  # so far from a place, the robot is in the corridor
 class Settings(Constants):
     """The constants; times count from the start of the mission."""
 
-    incidents: str = setting(
-        "kinect fails in c1, dark in c3",
-        "-",
-        "events, once each: 'COMPONENT fails|recovers in CORRIDOR', 'dark|light in CORRIDOR'",
-        _PAPER,
-    )
+    incidents: bool = setting(True, "-", "whether the incidents of the map happen", _PAPER)
     capacity_j: float = setting(20_000.0, "J", "energy at the start", _OWN, 1.0)
     physics_step_s: float = setting(0.01, "s", "step of the physics engine", _OWN, 1e-3, 0.01)
     control_period_s: float = setting(0.1, "s", "period of sensing and steering", _OWN, 1e-2)
@@ -67,35 +60,13 @@ class Settings(Constants):
 
 
 class Incident(NamedTuple):
-    """An event that happens once, when the robot is within a corridor.
+    """What happens once, when the robot is within a corridor.
 
-    Those of the light name no component.
+    A component fails; without a component, the light goes out.
     """
 
-    what: str  # "fails", "recovers", "dark" or "light"
-    component: str
     corridor: str
-
-
-def incidents(text: str, building: Building) -> tuple[Incident, ...]:
-    """Read incidents from text.
-
-    Raises MissionError if it cannot be read, or names an unknown part or corridor.
-    """
-    found = []
-    for part in filter(None, (" ".join(words.split()) for words in text.split(","))):
-        read = _INCIDENT.fullmatch(part)
-        if read is None:
-            allowed = "text such as 'kinect fails in c1, dark in c3', or nothing"
-            raise MissionError(f"incidents cannot be {text!r}; allowed is {allowed}")
-        component, change, light, corridor = read.groups(default="")
-        if component not in ("", *DRAW_W) or corridor not in building.corridors:
-            known = f"there are {', '.join(DRAW_W)}; {', '.join(building.corridors)}"
-            raise MissionError(
-                f"incidents cannot be {text!r}: {known}; name others, or none with --set incidents="
-            )
-        found.append(Incident(change or light, component, corridor))
-    return tuple(found)
+    component: str = ""
 
 
 class BuildingWorld(World):
@@ -104,7 +75,13 @@ class BuildingWorld(World):
     All chance comes from `rng`.
     """
 
-    def __init__(self, building: Building, settings: Settings, rng: Generator) -> None:
+    def __init__(
+        self,
+        building: Building,
+        settings: Settings,
+        rng: Generator,
+        incidents: Sequence[Incident] = (),
+    ) -> None:
         self._building = building
         self._settings = settings
         self._rng = rng
@@ -117,7 +94,10 @@ class BuildingWorld(World):
         self._managed = SimulatedComponents(
             lambda: self.now, self._components, dict(zip(VERBS, takes, strict=True))
         )
-        self._waiting = _placed(incidents(settings.incidents, building), rng)
+        self._waiting = [
+            (incident, rng.uniform(0.25, 0.6))  # where in its corridor, as a share of the length
+            for incident in (incidents if settings.incidents else ())
+        ]
         self._light = {corridor.name: corridor.light for corridor in building.corridors.values()}
         self._ticks = 0
         self._at = building.start
@@ -212,13 +192,11 @@ class BuildingWorld(World):
         self._driven_total_m += driven_m
         self._is_moving = driven_m > _CREEP_M
         self._look_where_it_is()
-        for incident, share in list(self._waiting):
-            is_here = incident.corridor == self._inside
-            if (
-                is_here
-                and self._driven_m >= share * self._building.corridors[self._inside].length_m
-            ):
-                self._waiting.remove((incident, share))
+        for waiting in list(self._waiting):
+            incident, share = waiting
+            length_m = self._building.corridors[incident.corridor].length_m
+            if incident.corridor == self._inside and self._driven_m >= share * length_m:
+                self._waiting.remove(waiting)
                 self._happen(incident)
 
     def _take_orders(self) -> None:
@@ -288,20 +266,17 @@ class BuildingWorld(World):
     def _happen(self, incident: Incident) -> None:
         name = incident.component
         if name:
-            is_failed = incident.what == "fails"
-            word = "failed" if is_failed else "recovered"
-            failed = self._components.failed
-            (failed.add if is_failed else failed.discard)(name)
-            self._say("component status", name, "failure" if is_failed else word)
-            self._say("mission status", f"{name} failed", str(is_failed).lower())
-            self._happened.append((self.now, f"{name} {word}"))
-            return
-        corridor = incident.corridor
-        is_dark = incident.what == "dark"
-        self._light[corridor] = _DARK if is_dark else 1.0
-        self._say("EA measurement", "light", repr(self._light_here))
-        self._say("mission status", f"light in {corridor}", repr(self._light[corridor]))
-        self._happened.append((self.now, f"light in {corridor} goes {'out' if is_dark else 'on'}"))
+            text = f"{name} failed"
+            self._components.failed.add(name)
+            self._say("component status", name, "failure")
+            self._say("mission status", text, "true")
+        else:
+            light = f"light in {incident.corridor}"
+            text = f"{light} goes out"
+            self._light[incident.corridor] = _DARK
+            self._say("EA measurement", "light", repr(_DARK))
+            self._say("mission status", light, repr(_DARK))
+        self._happened.append((self.now, text))
 
     def _monitor(self) -> None:
         self._monitor_due += self._settings.monitor_period_s
@@ -357,30 +332,29 @@ class _Components(NamedComponents):
         return component in self.running
 
 
-def _placed(wanted: Sequence[Incident], rng: Generator) -> list[tuple[Incident, float]]:
-    """Choose where in its corridor each incident happens.
-
-    Those in one corridor happen in the given order.
-    """
-    shares: dict[str, list[float]] = {}
-    for incident in wanted:
-        shares.setdefault(incident.corridor, []).append(rng.uniform(0.25, 0.6))
-    in_order = {corridor: iter(sorted(some)) for corridor, some in shares.items()}
-    return [(incident, next(in_order[incident.corridor])) for incident in wanted]
-
-
 class AgvKind(WorldKind):
     """Opens a building; the weights are those of the mission, to say why there was no plan."""
 
-    def __init__(self, building: Building, weights: Mapping[str, float]) -> None:
+    def __init__(
+        self,
+        building: Building,
+        weights: Mapping[str, float],
+        incidents: Sequence[Incident] = (),
+    ) -> None:
         self._building = building
         self._weights = weights
+        self._incidents = tuple(incidents)
+        for incident in self._incidents:
+            building.check("corridor", incident.corridor, "an incident")
+            if incident.component not in ("", *DRAW_W):
+                known = ", ".join(DRAW_W)
+                raise MissionError(f"the vehicle has no {incident.component!r}; it has {known}")
 
     def settings(self) -> tuple[Setting, ...]:
         return declared(Settings)
 
     def open(self, values: Mapping[str, Any], rng: Generator) -> BuildingWorld:
-        return BuildingWorld(self._building, Settings.read(values), rng)
+        return BuildingWorld(self._building, Settings.read(values), rng, self._incidents)
 
     def verdict(
         self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase

@@ -19,7 +19,6 @@ from missions.engine.mission import Mission, MissionError, Percepts, built, find
 from missions.engine.task_layer import mission_domain
 from missions.views.output import as_json
 from rosa_bt import IsActionFeasible, RosaAction
-from rosa_bt.composites import unguarded
 from rosa_pddl import load_domain
 from rosa_pddl.domain import Domain
 from rosa_pddl.executor import check_behaviours
@@ -97,7 +96,7 @@ def judge(
     places = defaultdict[str, list[str]](list)
     findings: list[Finding] = []
     for title, build in builders.items():
-        findings += _judge_tree(title, build, model, places)
+        _judge_tree(title, build, model, places)
     for domain in domains:
         for name in domain.rosa_actions:
             places[name].append(_place(domain, name))
@@ -123,17 +122,12 @@ class _Tolerant(KnowledgeBase):
 
 def _judge_tree(
     title: str, build: Callable[..., object], model: Model, places: Mapping[str, list[str]]
-) -> Iterator[Finding]:
-    """Note where a tree uses actions; yield those that it goes on with when they are unfeasible."""
+) -> None:
+    """Note where a tree uses actions."""
     root = built(title, Behaviour, build, _Tolerant(model), Percepts())  # type: ignore[type-abstract]  # only asked about
     for node in root.iterate():
         if isinstance(node, IsActionFeasible | RosaAction):
             places[_action(node)].append(f"behaviour {node.name!r} of {title}")
-    for action in unguarded(root):
-        name = _action(action)
-        problem = f"goes on with {name} when that is unfeasible"
-        place = f"behaviour {action.name!r} of {title}"
-        yield finding_of("unguarded-action", f"action {name}", f"{place} {problem}")
 
 
 def _action(behaviour: IsActionFeasible | RosaAction) -> str:
@@ -145,7 +139,7 @@ def _action(behaviour: IsActionFeasible | RosaAction) -> str:
 
 
 def _place(domain: Domain, name: str) -> str:
-    file, line = domain.places.get(("object", name), (domain.file, 0))
+    file, line = domain.places.get(name, (domain.file, 0))
     return f"{file}:{line}" if line else file
 
 

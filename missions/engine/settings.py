@@ -168,7 +168,8 @@ def read_values(
             raise MissionError(f"unknown setting {name!r}{owner}; {hint}")
         part = by_name[name]
         if part.name in read:
-            raise MissionError(f"{part.short_name} and {part.name} are the same; give it once")
+            twice = f"{part.short_name} and {part.name}"
+            raise MissionError(f"{twice} are the same setting; give it once")
         read[part.name] = part.read(value)
     return read
 

@@ -88,15 +88,14 @@ class Exploration:
         self.seconds = 0.0
         self._predicates = [predicate for each in setup.wanted for predicate in each.predicates]
         requests = requests_of(rig.kb)
-        self._requesters = requests.requesters
-        kept = [requests.requesters, requests.halting, requests.progress]
+        kept = [requests.open, requests.halting, requests.progress]
         self._memory = Memory([rig.root, Blackboard.storage, rig.senses, *kept])
         self._count = 0
         self._reached_by: list[tuple[int, Step]] = []
         self._numbers: dict[Situation, int] = {}
         self._settled: dict[Facts, Facts] = {}
         self._ticks: dict[Situation, list[Round]] = {}
-        self._number(Situation(self._read_tree(), rig.read(), frozenset()), -1, Step())
+        self._number(Situation(self._memory.read(), rig.read(), frozenset()), -1, Step())
 
     def explore(self) -> "Exploration":
         """Explore, breadth first, until all is found, or as much or as long as the setup says.
@@ -236,18 +235,11 @@ class Exploration:
             rig.tick(scripts.pop())
             scripts += rig.others
             step = Step(changes, rig.taken)
-            tree = self._read_tree()
+            tree = self._memory.read()
             facts = self._settle(rig.read(), number, step)
             self.transitions += 1
             after = self._number(Situation(tree, facts, rig.deeds), number, step)
             yield Round(step, late, after, rig.is_caused)
-
-    def _read_tree(self) -> bytes:
-        for action in [action for action, requests in self._requesters.items() if not requests]:
-            del self._requesters[
-                action
-            ]  # an action that nobody requests is as one that nobody ever did
-        return self._memory.read()
 
     def _settle(self, facts: Facts, before: int, step: Step) -> Facts:
         """Let the manager take its turns until it rests; return the facts then."""

@@ -11,7 +11,6 @@ from textwrap import wrap
 from typing import Final, NamedTuple
 
 from missions.engine.question import Answer
-from rosa_bt.display import FONT, LETTER, LINE, svg_box, svg_size
 from rosa_pddl import Certificate, Domain, PlanningResult, State, Step
 from rosa_pddl.domain import Formula
 from rosa_pddl.grounding import binding_of
@@ -21,6 +20,9 @@ _LETTERS: Final = 38
 """The longest line in a box [characters]."""
 _GAP, _ROW_GAP, _ENTRY = 24.0, 14.0, 12.0
 """Sizes in pixels."""
+_FONT: Final = 'font-family="sans-serif" font-size="12"'
+_LINE: Final = 16.0
+_LETTER: Final = 6.9  # a little more than the average width of a character [px]
 _EDGE: Final = "#46627f"
 _MARKER: Final = (
     '<defs><marker id="needs" markerWidth="8" markerHeight="8" refX="7" refY="4" orient="auto">'
@@ -154,23 +156,23 @@ def svg_of(steps: Sequence[Step], links: Sequence[Link], title: str) -> str:
     for layer in _layers(len(steps), links):
         enter = {number: [link for link in links if link.target == number] for number in layer}
         places = {number: _mean_x(boxes, enter[number]) for number in layer}
-        top += LINE * max(map(len, enter.values()), default=0) + _GAP
+        top += _LINE * max(map(len, enter.values()), default=0) + _GAP
         x = _GAP
         for number in sorted(layer, key=lambda number: (places[number], number)):
             lines = _lines(steps, number)
-            width, height = svg_size(lines)
+            width, height = _box_size(lines)
             labels = [
-                LETTER * len(" ".join(link.needs)) + _ENTRY * place
+                _LETTER * len(" ".join(link.needs)) + _ENTRY * place
                 for place, link in enumerate(enter[number])
             ]
             boxes[number] = _Box(x, top, lines, max([width, *labels]), height)
             x += boxes[number].width + _GAP
         top += max(boxes[number].height for number in layer) + _ROW_GAP
     widest = max(box.x + box.width for box in boxes.values())
-    width = max(widest + _GAP, 2 * _GAP + 1.1 * LETTER * len(title))
+    width = max(widest + _GAP, 2 * _GAP + 1.1 * _LETTER * len(title))
     height = top + _GAP
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}" {FONT}>',
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}" {_FONT}>',
         f"<title>{escape(title)}</title>",
         _MARKER,
         f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
@@ -179,7 +181,7 @@ def svg_of(steps: Sequence[Step], links: Sequence[Link], title: str) -> str:
     for link in links:
         parts += _arrow(boxes, links, link)
     for number, box in sorted(boxes.items()):
-        parts += svg_box(box.x, box.y, box.lines, _GOAL if number == len(steps) else _STEP)
+        parts += _box(box.x, box.y, box.lines, _GOAL if number == len(steps) else _STEP)
     return "\n".join([*parts, "</svg>", ""])
 
 
@@ -216,9 +218,24 @@ def _arrow(boxes: Mapping[int, _Box], links: Sequence[Link], link: Link) -> Iter
     left = source.x + 8
     x = target.x + 8 + _ENTRY * place
     start = source.y + source.height
-    turn = target.y - LINE * (place + 1)
+    turn = target.y - _LINE * (place + 1)
     path = f"M{left:g} {start:g}C{left:g} {turn:g} {x:g} {start:g} {x:g} {turn:g}V{target.y:g}"
     yield f'<path d="{path}" fill="none" stroke="{_EDGE}" marker-end="url(#needs)"/>'
     halo = 'stroke="white" stroke-width="3" paint-order="stroke"'
     words = escape(" ".join(link.needs))
-    yield f'<text x="{x + 5:g}" y="{turn + LINE * 0.7:g}" {halo}>{words}</text>'
+    yield f'<text x="{x + 5:g}" y="{turn + _LINE * 0.7:g}" {halo}>{words}</text>'
+
+
+def _box_size(lines: Sequence[str]) -> tuple[float, float]:
+    """Return width and height of a box with lines of text [px]; the first line is bold."""
+    longest = max(len(line) * (1.1 if line is lines[0] else 1.0) for line in lines)
+    return 16 + _LETTER * longest, 10 + _LINE * len(lines)
+
+
+def _box(x: float, y: float, lines: Sequence[str], style: str) -> Iterator[str]:
+    """Yield the SVG elements of a box with lines of text; (x, y) is its upper left corner [px]."""
+    width, height = _box_size(lines)
+    yield f'<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" rx="5" {style}/>'
+    for number, line in enumerate(lines):
+        weight = 'font-weight="bold"' if number == 0 else 'fill="#444444"'
+        yield f'<text x="{x + 8:g}" y="{y + 17 + number * _LINE:g}" {weight}>{escape(line)}</text>'

@@ -25,6 +25,7 @@ from missions.views.output import figure_in_words, plain
 from missions.views.report import Recorded, Rows, framed, write_report
 from rosa_bt import HasStatus, IsActionFeasible, TreeRunner
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
+from rosa_bt.exceptions import errors_of
 
 _log = logging.getLogger(__name__)
 
@@ -366,12 +367,6 @@ class _TreeRows(VisitorBase):
     def run(self, behaviour: Behaviour) -> None:
         self._ticked[behaviour] = _LETTERS[behaviour.status], behaviour.feedback_message
 
-    def error(self, behaviour: Behaviour, error: Exception) -> None:
-        """Show a behaviour that raises, once; the tree calls it."""
-        if behaviour not in self._raised:
-            self._raised.add(behaviour)
-            self._recorder.trouble(f"{behaviour.name}: {behaviour.feedback_message}")
-
     def finalise(self) -> None:
         self._harmlessly(self._note)
 
@@ -385,6 +380,10 @@ class _TreeRows(VisitorBase):
 
     def _note(self) -> None:
         recorder = self._recorder
+        for behaviour, _ in errors_of(self._behaviours.root):
+            if behaviour not in self._raised:
+                self._raised.add(behaviour)
+                recorder.trouble(f"{behaviour.name}: {behaviour.feedback_message}")
         is_news = any(parent.children != children for parent, children in self._below)
         if is_news:
             self._describe()

@@ -268,8 +268,7 @@ def test_broken_specimen_shows_its_fault_and_no_other(code, element, words, spoi
 
 
 def test_every_code_has_a_specimen():
-    of_trees = {"unguarded-action"}  # has its test beside `rosa check`
-    assert {code for code, *_ in SPECIMENS} == set(rules()) - of_trees
+    assert {code for code, *_ in SPECIMENS} == set(rules())
 
 
 def test_root_is_found_and_not_what_is_between():

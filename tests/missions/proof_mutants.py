@@ -196,8 +196,13 @@ def charge(kb, **options):
     return Act("charge", kb, "charge", **options)
 
 
+def stubborn(action):
+    action.even_if_unfeasible = True
+    return action
+
+
 def rough(kb):
-    return explore(kb, even_if_unfeasible=True)
+    return stubborn(explore(kb))
 
 
 def acts(kb):
@@ -323,7 +328,7 @@ MUTANTS = [
     Case("unknown is enough", behind(lambda kb: enough(kb, unknown=Status.SUCCESS)), UNFEASIBLE),
     Case(
         "charging goes on with failed wheels",
-        lambda kb: either(kb, second=charge(kb, even_if_unfeasible=True)),
+        lambda kb: either(kb, second=stubborn(charge(kb))),
         UNFEASIBLE,
     ),
     Case(

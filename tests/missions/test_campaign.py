@@ -13,9 +13,8 @@ from pathlib import Path
 import pytest
 from running import called
 
-from missions.baselines import MANAGERS
 from missions.engine.mission import MissionError
-from missions.experiments.campaign import Campaign, PlannedRun, from_data, paper_table
+from missions.experiments.campaign import Campaign, PlannedRun, from_data
 from missions.experiments.results import Outcome, Results, Store
 from missions.experiments.workers import do
 
@@ -93,13 +92,6 @@ def test_planned_run_has_a_command_that_repeats_it():
     assert run.name == "suave/ours/pddl/bias=0,faults=fail boom@60; recover boom@90/7"
     words = "--manager ours --task pddl --seed 7 --set bias=0 --fail boom@60 --recover boom@90"
     assert run.command == f"rosa run suave {words}"
-
-
-def test_paper_table_has_both_missions_under_every_manager():
-    planned = list(paper_table().planned())
-    layers = {(run.manager, run.task) for run in planned}
-    assert layers == {*((name, None) for name in MANAGERS), ("ours", "bt"), ("ours", "pddl")}
-    assert len(planned) == 100 * 2 * len(layers)
 
 
 def test_results_are_the_same_to_the_byte_on_one_worker(quick, whole):
@@ -297,10 +289,3 @@ def test_results_of_different_code_are_never_mixed(begun, quick):
     (begun / "campaign.json").write_text(json.dumps(about))
     code, _, err = quick("campaign", "--resume", "--out", begun)
     assert (code, "was begun with code older, here is" in err) == (2, True)
-
-
-def test_damaged_folder_is_refused(begun):
-    for name in ("runs.jsonl", "campaign.json"):
-        (begun / name).write_text("{}\n")
-        with pytest.raises(MissionError, match="is damaged"):
-            Results(begun)

@@ -5,14 +5,12 @@ import xml.etree.ElementTree
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from running import called
 
 from missions.engine.mission import MissionError
 from missions.experiments.campaign import Campaign
 from missions.experiments.comparison import holm, mean_of
-from missions.experiments.report import Document, write_report
+from missions.experiments.report import write_report
 from missions.experiments.results import Outcome, Results, Store, provenance
 from missions.experiments.workers import crash
 
@@ -67,14 +65,11 @@ def test_published_table_stands_beside_ours_with_intervals(report):
     assert table["none"][2] == "174.75 ± 36.00"
     assert table["bt"][5] == "62.70 ± 7.78"
     assert table["ours (bt)"][2] == "-"
+    assert "rosa*: service_s = 0.17 is an input taken from the paper's own figures" in report[1]
     for name in ("none", "bt", "rosa*", "ours (bt)"):
         numbers = re.fullmatch(r"(\S+) \[(\S+), (\S+)\]", table[name][3]).groups()
         mean, low, high = map(float, numbers)
         assert low < mean < high
-
-
-def test_input_from_the_paper_is_marked(report):
-    assert "rosa*: service_s = 0.17 is an input taken from the paper's own figures" in report[1]
 
 
 def test_difference_of_runs_with_the_same_seed_is_shown(report):
@@ -100,12 +95,6 @@ def test_pictures_are_files_and_part_of_the_page(report):
     assert page.count('src="data:image/svg+xml;base64,') == len(names)
     for name in names:
         xml.etree.ElementTree.parse(folder / name)
-
-
-def test_same_results_give_the_same_report_to_the_byte(report, tmp_path):
-    write_report(results(tmp_path / "c"), tmp_path / "report")
-    for path in report[0].iterdir():
-        assert path.read_bytes() == (tmp_path / "report" / path.name).read_bytes()
 
 
 def test_runs_that_are_missing_or_crashed_are_counted(tmp_path):
@@ -152,8 +141,6 @@ def test_own_mission_is_reported_by_its_own_figures(tmp_path):
 
 def test_nothing_to_report_is_an_error(tmp_path):
     with pytest.raises(MissionError, match="no run is done without a crash"):
-        write_report(results(tmp_path / "a", lambda run: None), tmp_path)
-    with pytest.raises(MissionError, match="no run is done without a crash"):
         write_report(results(tmp_path / "b", lambda run: crash(run, "no")), tmp_path)
 
 
@@ -172,15 +159,6 @@ def test_report_command_in_wrong_use_says_why(tmp_path, monkeypatch, capsys, wor
     assert message in " ".join(err.split())
 
 
-def test_document_escapes_what_would_be_markup():
-    document = Document("a < b")
-    document.table(["x|y", "<z>"], [["1", "2"]])
-    assert "&#124;" in document.as_markdown()
-    page = document.as_html()
-    assert "<h1>a &lt; b</h1>" in page
-    assert "<z>" not in page
-
-
 # ------------------------------------------------------------- statistics
 
 
@@ -194,15 +172,6 @@ def test_interval_holds_the_true_mean_as_often_as_it_says():
     assert 180 <= hits <= 198
     assert mean_of([0.0, 0.0]) == (0.0, 0.0, 0.0, 1.0)
     assert mean_of([2.0, 2.0]) == (2.0, 2.0, 2.0, 0.0)
-
-
-@given(st.lists(st.floats(0, 1), min_size=1, max_size=12))
-def test_holm_never_lowers_and_keeps_the_order(ps):
-    corrected = holm(ps)
-    assert all(p <= each <= 1 for p, each in zip(ps, corrected, strict=True))
-    ranked = [each for _, each in sorted(zip(ps, corrected, strict=True))]
-    assert ranked == sorted(ranked)
-    assert min(corrected) == pytest.approx(min(1, len(ps) * min(ps)))
 
 
 def test_holm_corrects_as_in_a_worked_example():

@@ -46,14 +46,8 @@ def of_both(kb, percepts):
 def of_kb(kb, period=1.0):
     return BehaviourTree(IsActionFeasible("can it?", kb, "explore"))
 
-def of_the_stubborn(kb):
-    return Explore("on and on", kb, "explore", even_if_unfeasible=True)
-
 def of_nothing():
     return Sequence("empty", memory=False)
-
-def of_no_tree():
-    return 3
 
 def of_a_mistake(kb, percepts):
     return percepts.wings
@@ -104,26 +98,6 @@ def test_own_missions_have_nothing_to_find(rosa, name):
 def test_sound_files_exit_0(rosa):
     expected = (0, "model explorer: nothing found\n", "")
     assert rosa("explorer.tql --tree trees:of_kb") == expected
-
-
-HEAR = """match $a isa Action, has action-name "explore";
-insert $f isa Function, has function-name "hear";
-(action: $a, required-function: $f) isa functional-requirement;
-"""
-BY_EAR = """match $f isa Function, has function-name "hear";
-$c isa Component, has component-name "camera";
-insert (function: $f, required-component: $c) isa function-design,
-has function-design-name "by ear", has priority 1;
-"""
-
-
-def test_later_file_mends_an_earlier_one(rosa, tmp_path):
-    (tmp_path / "more.tql").write_text(HEAR)
-    (tmp_path / "most.tql").write_text(BY_EAR)
-    code, out, _ = rosa("explorer.tql more.tql")
-    assert code == 1
-    assert "function hear has no design, so action explore can never be feasible" in out
-    assert rosa("explorer.tql more.tql most.tql")[0] == 0
 
 
 def test_findings_are_grouped_with_advice_and_counted(rosa):
@@ -228,39 +202,20 @@ def test_action_that_planning_passes_over_is_told_once(rosa, monkeypatch):
     assert "never planned" not in out
 
 
-def test_action_that_goes_on_unfeasible_is_named(rosa):
-    code, out, _ = rosa("explorer.tql --tree trees:of_the_stubborn")
-    assert code == 0
-    place = "behaviour 'on and on' of tree trees:of_the_stubborn"
-    assert out.splitlines()[:2] == [
-        "warning unguarded-action",
-        f"  {place} goes on with explore when that is unfeasible",
-    ]
-    assert rosa("explorer.tql --tree trees:of_the_stubborn --strict")[0] == 1
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ("", "no model is named; name its files, or a mission with --mission NAME"),
         ("--mission :MISSION", "unknown mission ':MISSION'; there are suave"),
-        ("--mission suaf", "unknown mission 'suaf'"),
-        ("nowhere.tql", "nowhere.tql"),
         ("broken.tql", "broken.tql:2:"),
-        ("explorer.txt", "explorer.txt"),
         ("rover:MISSION", "the name of a model's file ends in .tql or .owl, this one without"),
         ("explorer.tql --tree trees", "there are none by name, a tree is given as module:call"),
         ("explorer.tql --tree trees:wood", "import tree 'trees:wood': trees has no 'wood'"),
-        ("explorer.tql --tree forest:wood", "tree 'forest:wood': there is no module forest"),
         ("explorer.tql --tree trees:TREE", "is a Sequence, not a function that builds a tree"),
-        ("explorer.tql --tree trees:of_no_tree", "is 3, not a py_trees behaviour"),
         ("explorer.tql --tree trees:of_a_mistake", "trees:of_a_mistake: AttributeError"),
-        ("explorer.tql --tree builtins:int", "tree builtins:int"),
         ("explorer.tql --tree trees:of_a_component", "unknown component 'wing'"),
         ("explorer.tql --pddl nowhere.pddl", "nowhere.pddl: cannot read this PDDL file"),
-        ("explorer.tql --pddl broken.tql", "broken.tql:"),
         ("explorer.tql --pddl a --pddl b --pddl c", "and once more for its problem"),
-        ("explorer.tql --plan", "--plan"),
     ],
 )
 def test_wrong_use_is_one_clear_message_and_exits_2(rosa, tmp_path, arguments, message):

@@ -18,7 +18,6 @@ from missions import cli
 from missions.baselines import MANAGERS, OURS, POLICIES
 from missions.engine.mission import MISSIONS, find_mission
 from missions.engine.recording import read_recording
-from missions.testing.decisions import replay
 
 ROSA = (sys.executable, "-m", "missions")
 
@@ -46,10 +45,7 @@ def test_missions_are_listed_with_what_happens_in_them(rosa):
     ("mission", "row"),
     [
         ("agv", r"physics_step_s +0\.01 +s +from 0\.001 to 0\.01$"),
-        ("agv", r"capacity_j +20000 +J +from 1$"),
-        ("agv", r"duration_s +300 +s +from 0\.001$"),
         ("uav", r"samples +7 +\S+ +from 1 to 7$"),
-        ("suave", r"activation_s +\S+ +s +from 0$"),
         ("suave_extended", r"discharge_time_s +200 s .*\n.*ROSA paper"),
     ],
 )
@@ -83,10 +79,6 @@ def test_run_without_progress_tells_adaptations_at_the_end(rosa):
     assert code == 0
     assert "is requested" not in out
     assert "why: aruco_camera is unfeasible because light 0.1" in out
-    adaptations = [line for line in out.splitlines() if "adaptation:" in line or "why:" in line]
-    assert len(adaptations) >= 4
-    lines = rosa("run agv --seed 1")[1].splitlines()
-    assert [line for line in lines if line in adaptations] == adaptations
 
 
 def test_tree_that_plans_tells_its_plans_as_they_are_made(rosa):
@@ -132,22 +124,16 @@ def test_mission_that_fails_its_goal_exits_1(rosa):
         ("run suave_extendet", "unknown mission 'suave_extendet'; there are suave, suave_ext"),
         ("settings suaf", "unknown mission 'suaf'"),
         ("run suave --task bd", "unknown task layer 'bd'; there are bt and pddl"),
-        ("run suave --task :x:", "unknown task layer ':x:'"),
         ("run suave --set duratoin_s=3", "unknown setting 'duratoin_s' of mission suave; did you"),
         ("run suave --set duration_s=-3", "is '-3'; allowed is a number of seconds from 0.001"),
-        ("run suave --set duration_s=nan", "duration_s is 'nan'"),
         ("run suave --set duration_s", "--set takes NAME=VALUE, not 'duration_s'"),
-        ("run suave --set mass_kg=heavy", "mass_kg"),
-        ("run suave --set tick_period_s=1e-12", "allowed is a number of seconds from 0.001"),
         ("run suave --set drag_surge=1e300 --no-progress", "became unstable after"),
         ("run suave --json no/such/folder/x.json", "cannot write no/such/folder/x.json"),
-        ("run suave --plot /", "cannot write /: it is a directory"),
         (f"run suave --json {'n' * 300}", ": File name too long"),
         ("run nowhere:MISSION", "'nowhere:MISSION': there is no module nowhere here in"),
         ("run missions.suave:MISION", "did you mean missions.suave:MISSION?"),
         ("run json:loads", "'json:loads' is a function, not a missions.engine.mission.Mission"),
         ("run launch", "unknown mission 'launch'; did you mean launch:MISSION?"),
-        ("run suave --seed -1", "--seed"),
         ("run suave --fast", "--fast"),
         ("bridge nofile.toml", "a file of settings is given as --config nofile.toml"),
         ("fly", "fly"),
@@ -160,14 +146,8 @@ def test_wrong_use_is_one_clear_message_and_exits_2(rosa, command, message):
     assert "adaptation" not in out, "it is found out before the mission runs"
 
 
-def test_no_file_is_left_behind_when_the_mission_cannot_run(rosa, tmp_path):
-    assert rosa(f"run suave --json {tmp_path}/x.json --set mass_kg=-1")[0] == 2
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("option", ["json", "plot", "record"])
-def test_full_device_is_one_clear_message(rosa, option):
-    code, _, err = rosa(f"run suave --set duration_s=5 --{option} /dev/full")
+def test_full_device_is_one_clear_message(rosa):
+    code, _, err = rosa("run suave --set duration_s=5 --json /dev/full --record /dev/full")
     assert code == 2
     assert "cannot write /dev/full: No space left on device" in err
 
@@ -178,16 +158,6 @@ def test_full_standard_output_is_one_clear_message():
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr.strip() == "rosa: cannot print: No space left on device"
-
-
-def test_link_is_followed_not_replaced(rosa, tmp_path):
-    target = tmp_path / "target.json"
-    link = tmp_path / "link.json"
-    target.write_text("old")
-    link.symlink_to(target)
-    rosa(f"run suave --set duration_s=5 --json {link}")
-    assert link.is_symlink()
-    assert json.loads(target.read_text())["mission"] == "suave"
 
 
 def test_termination_leaves_no_draft_behind(tmp_path):
@@ -224,36 +194,9 @@ def test_recording_of_a_killed_program_holds_what_it_heard(how, tmp_path):
     assert messages[-1]["time"] < 300.0
 
 
-def test_recording_carries_the_settings_for_its_replay(rosa, tmp_path):
-    changed = "tick_period_s=0.7 duration_s=320 activation_s=0.4 deactivation_s=0.2"
-    options = " ".join(f"--set {setting}" for setting in changed.split())
-    files = f"--record {tmp_path}/run.jsonl --json {tmp_path}/run.json"
-    code, _, err = rosa(f"run suave_extended --task pddl --no-progress {options} {files}")
-    assert code == 0, err
-    adaptations = json.loads((tmp_path / "run.json").read_text())["adaptations"]
-    assert len(adaptations) > 6
-    again = [
-        (round(adaptation.at_s, 6), adaptation.change, round(adaptation.reaction_s, 6))
-        for adaptation in replay(tmp_path / "run.jsonl", "suave_extended", task="pddl").adaptations
-    ]
-    assert again == [(a["at_s"], a["change"], a["reaction_s"]) for a in adaptations]
-
-
-def test_help_names_every_option_and_manager():
+def test_help_names_every_manager():
     environment = {"COLUMNS": "200", "NO_COLOR": "1"}
     shown = CliRunner().invoke(cli.app, ["run", "--help"], env=environment).output
-    options = {
-        "task",
-        "seed",
-        "json",
-        "plot",
-        "record",
-        "set",
-        "speed",
-        "realtime",
-        "no-progress",
-    }
-    assert options <= set(re.findall(r"--([\w-]+)", shown))
     assert {OURS, *MANAGERS, *POLICIES} <= set(re.findall(r"\w+", shown))
 
 

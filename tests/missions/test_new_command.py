@@ -18,10 +18,6 @@ from kb import KnowledgeBase
 from missions.baselines import Policy, open_run
 from missions.engine.mission import Mission, MissionError, find_mission
 from missions.engine.recording import failed, measured
-from missions.experiments.campaign import read_campaign
-from missions.experiments.report import write_report
-from missions.experiments.results import Results, Store
-from missions.experiments.workers import do
 from missions.views.output import figure_in_words
 from missions.wires.bridge import Bridge, BridgeSettings
 
@@ -116,7 +112,6 @@ def test_new_robot_passes_its_own_tests(new, tmp_path):
     [
         ("kb", [], "there is something named kb already"),
         ("my-robot", [], "'my-robot' cannot be one"),
-        ("class", [], "'class' cannot be one"),
         ("fine", ["--task", "htn"], "--task is 'htn'; there are bt, pddl and both"),
     ],
 )
@@ -205,30 +200,6 @@ def test_configurations_to_use_are_those_of_the_model(new):
     )
 
 
-def test_report_on_a_new_mission_has_no_empty_columns(new, tmp_path):
-    name = new("--task", "bt")
-    campaign = replace(
-        read_campaign(tmp_path / name / "campaign.toml"), runs=2, managers=("ours", "none")
-    )
-    folder = tmp_path / "runs"
-    with Store(folder, campaign) as store:
-        for run in campaign.planned():
-            store.keep(do(run))
-    write_report(Results(folder), folder)
-    text = (folder / "report.md").read_text()
-    head, _, *rows = [
-        line for line in text.split(f"## {name}:MISSION")[1].splitlines() if line.startswith("|")
-    ][:4]
-    assert head.startswith("| manager | runs | goal reached | duration_s: mean [95 %]")
-    assert [row.split(" | ")[:3] for row in rows] == [
-        ["| ours (bt)", "2", "2"],
-        ["| none", "2", "0"],
-    ]
-    assert "published" not in text
-    assert "Published" not in text
-    assert "search" not in text
-
-
 def test_units_are_those_of_attributes_and_of_endings(new):
     model = find_mission(f"{new()}:MISSION").model()
     model.quality_attribute("tank_level", unit="l")
@@ -250,25 +221,15 @@ def test_units_are_those_of_attributes_and_of_endings(new):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"tree": None}, "mission NAME has no task: give it a tree, or a PDDL domain and problem"),
         ({"tree": "tree"}, "tree of mission NAME is 'tree'; expected is a function"),
-        (
-            {"world": None},
-            "world of mission NAME is None; expected is an object of a subclass of WorldKind",
-        ),
         (
             {"domain": "domain.pddl"},
             "domain of mission NAME is 'domain.pddl'; expected is a pathlib.Path",
         ),
         ({"actions": ["explore"]}, "actions of mission NAME is ['explore']; expected is a mapping"),
-        ({"engines": "tamer"}, "engines of mission NAME is 'tamer'; expected is a tuple of names"),
         (
             {"tree": lambda kb: None},
             "tree of mission NAME is called with (kb, percepts), but takes (kb): too many",
-        ),
-        (
-            {"facts": lambda percepts: {}},
-            "facts of mission NAME is called with (kb, percepts), but takes (percepts)",
         ),
     ],
 )
@@ -297,12 +258,3 @@ def test_mission_that_is_only_planned_has_no_tree(new):
     assert open_run(mission).task == "pddl"
     with pytest.raises(MissionError, match="has no tree; run it with --task pddl"):
         open_run(mission, task="bt")
-
-
-def test_unknown_setting_is_answered_with_those_there_are(new):
-    with pytest.raises(MissionError) as refusal:
-        open_run(find_mission(f"{new()}:MISSION"), settings={"zzz": "1"})
-    assert (
-        "there are duration_s, tick_period_s, planning_delay_s, plan_ahead, cave_m, draws_per_s"
-        in str(refusal.value)
-    )

@@ -1,15 +1,14 @@
 """One contract of the nodes by rosbridge and by rclpy; and what is theirs alone."""
 
 import json
+import random
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 
 import pytest
 import rclpy_double
-from cut_wires import requests_through_cuts
 from ros_rig import WIRES, connected, until
 from rosbridge_double import RosbridgeDouble
 
@@ -43,8 +42,9 @@ def echo(pair, kind, message):
     """Return a message as the other node hears it."""
     node, other = pair
     heard = []
-    other.subscribe("/echo", kind, heard.append)
-    until(lambda: heard, turn=lambda: node.publish("/echo", kind, message))
+    topic = f"/echo/{kind.split('/')[-1]}"
+    other.subscribe(topic, kind, heard.append)
+    until(lambda: heard, turn=lambda: node.publish(topic, kind, message))
     return heard[0]
 
 
@@ -56,19 +56,16 @@ def ask(node, service, **request):
         return None
 
 
-def test_value_that_is_no_number_comes_over_as_null(pair):
-    data = [1.0, -2.5, float("nan"), float("inf"), 1e300]
-    sent = {"layout": {"dim": [], "data_offset": 0}, "data": data}
-    assert echo(pair, ARRAY, sent)["data"][:3] == [1.0, -2.5, None]
-
-
-def test_nested_message_comes_over_as_it_was(pair):
-    values = [{"key": "battery_level", "value": "0.25"}, {"key": "", "value": 'é "quoted" \n'}]
-    about = {"name": "n", "message": "QA status", "hardware_id": ""}
-    statuses = [{"level": level, **about, "values": values[:level]} for level in range(3)]
+def test_message_comes_over_as_it_was(pair):
+    about = {"name": "n", "message": 'é "quoted" \n', "hardware_id": "", "level": 1}
+    values = [{"key": "battery_level", "value": "0.25"}]
     stamp = {"sec": 1_700_000_000, "nanosec": 999_999_999}
-    sent = {"header": {"stamp": stamp, "frame_id": "base"}, "status": statuses}
+    header = {"stamp": stamp, "frame_id": "base"}
+    sent = {"header": header, "status": [{**about, "values": values}, {**about, "values": []}]}
     assert echo(pair, ros.DIAGNOSTICS, sent) == sent
+    numbers = [1.0, -2.5, float("nan"), float("inf"), 1e300]
+    heard = echo(pair, ARRAY, {"layout": {"dim": [], "data_offset": 0}, "data": numbers})
+    assert heard["data"][:3] == [1.0, -2.5, None]
 
 
 def test_services_are_called_both_ways(pair):
@@ -78,15 +75,11 @@ def test_services_are_called_both_ways(pair):
     node.serve("/ours/ask", ASK, lambda request: requests.append(request) or {"success": True})
     until(lambda: ask(other, "/ours/ask", action=EXPLORE, preference="é"))
     assert requests[0] == {"action": EXPLORE, "preference": "é"}
-    names = [f"action {number}" for number in range(60)]
-    with ThreadPoolExecutor(6) as pool:
-        answers = list(pool.map(lambda name: ask(node, "/other/ask", action={"name": name}), names))
-    assert [answer["action"]["name"] for answer in answers] == names
 
 
 def test_hearer_that_fails_does_not_end_the_node(pair):
     _, other = pair
-    other.subscribe("/echo", STRING, lambda message: message["nothing"])
+    other.subscribe("/echo/String", STRING, lambda message: message["nothing"])
     assert echo(pair, STRING, {"data": "on"}) == {"data": "on"}
     assert other.refused["KeyError: 'nothing'"]
 
@@ -158,8 +151,6 @@ def test_bytes_are_those_of_ros_2_and_of_rosbags():
         (STRING, {"date": "x"}, "is no std_msgs/msg/String of data: 'date'"),
         (STRING, {"data": 3}, "is no std_msgs/msg/String of data: must be of type"),
         (ARRAY, {"data": [1.0, "x"]}, "could not convert string to float: 'x'"),
-        (ARRAY, {"data": 3.0}, "not iterable"),
-        ("std_msgs/msg/Bool", {"data": 1}, "is no std_msgs/msg/Bool"),
         ("somebody_msgs/msg/Secret", {}, "source the workspace that has it"),
     ],
 )
@@ -255,6 +246,37 @@ def test_connection_that_is_not_read_is_closed_nevertheless(monkeypatch):
 
 
 def test_nothing_acknowledged_is_lost_or_done_twice_when_cut():
-    outcome = requests_through_cuts(1, cuts=10)
-    assert outcome.acknowledged >= 30
-    assert (outcome.lost, outcome.doubled) == (0, 0)
+    """Requests and events go over a connection that is cut at random."""
+    rng = random.Random(1)
+    stop = threading.Event()
+    arrived = []
+    heard = []
+    acknowledged = []
+
+    def request():
+        number = 0
+        while not stop.is_set():
+            number += 1
+            try:
+                reply = node.call("/do", "", {"number": number})
+                until(reply.done, turn=node.update)
+                acknowledged.append(reply.result()["number"])
+            except RosError:  # it is not known whether it was done, so it is never sent again
+                time.sleep(0.01)
+            node.publish("/events", "", {"number": number})
+
+    thread = threading.Thread(target=request)
+    with closing(RosbridgeDouble()) as host, closing(Rosbridge(host.url)) as node:
+        host.serve("/do", "x", lambda request: arrived.append(request["number"]) or request)
+        host.subscribe("/events", "", lambda message: heard.append(message["number"]))
+        thread.start()
+        for cut in range(10):
+            until(lambda cut=cut: len(acknowledged) >= 3 * cut)
+            time.sleep(rng.uniform(0.0, 0.05))
+            host.cut()
+        until(lambda: len(acknowledged) >= 30)
+        stop.set()
+        thread.join()
+    assert set(acknowledged) <= set(arrived)
+    for numbers in (arrived, heard):
+        assert len(numbers) == len(set(numbers))

@@ -187,7 +187,8 @@ def test_rosbag2_of_anybody_is_decided_alike(drop, tmp_path, storage, mode):
 )
 def test_replay_decides_as_recorded(mission, task, tmp_path):
     path = tmp_path / "run.mcap"
-    rosa("run", mission, "--task", task, "--no-progress", "--seed", 3, "--record", path)
+    options = ("--no-progress", "--seed", 3, "--set", "planning_delay_s=0.3", "--record", path)
+    rosa("run", mission, "--task", task, *options)
     assert "decided as recorded" in rosa("replay", path)
 
 

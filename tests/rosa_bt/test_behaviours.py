@@ -11,6 +11,8 @@ from rosa_bt import IsActionFeasible, RosaAction
 class Scripted(RosaAction):
     """Does what its script says at each tick; an exception in the script is raised."""
 
+    _begin = _end = _advance = _request = _work = _save = _has_begun = "a name that users take"
+
     def __init__(self, kb, action, script, raises_in_terminate=False):
         super().__init__(action, kb, action)
         self.script = list(script)

@@ -103,24 +103,22 @@ def test_tick_has_what_was_ticked_told_and_decided():
     assert (shown["explore"].status, shown["explore"].feedback[:8]) == ("RUNNING", "waiting:")
     told = [(event.verb, event.subject, place) for event, place in first.events if place != 0]
     assert told == [("measure", "energy", -1), ("request_action", "explore", None)]
-    assert first.decisions == (("explore", "requested", ""),)
-    why = "explore is unfeasible because energy 0.1 violates >= 0.2 (measured 0.0 s ago)"
-    assert third.decisions == (
-        ("explore", "unfeasible", why),
-        ("explore", "abandoned", why.replace("0.0 s", "0.2 s")),
-        ("charge", "requested", ""),
-    )
+    why = "explore is unfeasible because energy 0.1 violates >= 0.2 (measured 0.2 s ago)"
+    assert [event.text for event, place in third.events if place is None] == [
+        f"explore is abandoned: {why}",
+        "charge is requested",
+    ]
 
 
 def test_trace_without_its_first_ticks_is_not_replayed():
     trace = run([[]] * 20, keep=5)
     assert [tick.number for tick in trace.ticks] == [15, 16, 17, 18, 19]
     assert trace.ticks[0].visited, "the first tick that is left says by itself what was ticked"
-    with pytest.raises(TraceError, match="begins at tick 15"):
+    with pytest.raises(TraceError, match="lacks its first ticks"):
         replay_trace(trace, rover(), tree)
 
 
-HEAD = '{"rosa_bt_trace":3,"model":"x"}\n'
+HEAD = '{"rosa_bt_trace":4,"model":"x"}\n'
 
 
 @pytest.mark.parametrize(
@@ -132,12 +130,11 @@ HEAD = '{"rosa_bt_trace":3,"model":"x"}\n'
             r":1: not a line of a trace .JSONDecodeError: Expecting value: line 1 column 1",
         ),
         ("[]\n", r":1: not a line of a trace"),
-        ('{"rosa_bt_trace":1,"model":"x"}\n', "version 1; this program reads version 3"),
+        ('{"rosa_bt_trace":1,"model":"x"}\n', "version 1; this program reads version 4"),
         (HEAD + '{"tick":0}\n', r":2: not a line of a trace"),
         (HEAD + '{"tick":0,"time":0.0,"visited":[[1]]}\n', r":2: not a line of a trace"),
         (HEAD + '"tick"\n', r":2: not a line of a trace"),
         (HEAD + '{"tick":1e999,"time":0.0}\n', r":2: not a line of a trace"),
-        pytest.param("[" * 100_000, r":1: not a line of a trace \(RecursionError", id="deep"),
     ],
 )
 def test_file_that_is_no_trace_is_refused_with_its_line(tmp_path, text, message):
@@ -201,50 +198,6 @@ def test_facts_of_another_thread_are_replayed_in_their_place(tmp_path_factory, t
     assert any(place is not None for tick in trace.ticks for _, place in tick.events)
     assert read_trace(path) == trace
     assert replay_trace(read_trace(path), rover(), lambda kb: tree_between(kb, [])) == trace
-
-
-class Rude(Running):
-    """Is interrupted in some of its ticks."""
-
-    def __init__(self, name, when):
-        super().__init__(name)
-        self.when = when
-        self.count = 0
-
-    def update(self):
-        self.count += 1
-        if self.count in self.when:
-            raise KeyboardInterrupt
-        return Status.RUNNING
-
-
-@pytest.mark.parametrize("by_runner", [True, False])
-def test_trace_goes_on_after_an_interrupted_tick(tmp_path, by_runner):
-    kb = KnowledgeBase(rover(), clock=lambda: 0.0)
-    kb.measure("energy", 1.0)
-
-    def build(kb, when=()):
-        policy = ParallelPolicy.SuccessOnAll(synchronise=False)
-        return Parallel("all", policy=policy, children=[tree(kb), Rude("rude", when)])
-
-    runner = TreeRunner(build(kb, (3, 5)), clock=lambda: 0.0)
-    ticked = runner if by_runner else runner.tree
-    with TraceVisitor(kb, tmp_path / "run.jsonl") as visitor:
-        runner.tree.add_visitor(visitor)
-        for number in range(6):
-            kb.measure("light", number / 10)
-            if number in (2, 4):
-                with pytest.raises(KeyboardInterrupt):
-                    ticked.tick()
-            else:
-                ticked.tick()
-        trace = visitor.trace
-    assert [tick.is_interrupted for tick in trace.ticks] == [False, False, True, False, True, False]
-    assert [decision.what for decision in trace.ticks[2].decisions] == ["abandoned"]
-    assert [decision.what for decision in trace.ticks[3].decisions] == ["requested"]
-    assert [one.verb for one, place in trace.ticks[3].events if place == -1] == ["measure"]
-    assert read_trace(tmp_path / "run.jsonl") == trace
-    assert replay_trace(trace, rover(), build) == trace
 
 
 class TakesTime(Running):
