@@ -18,7 +18,6 @@ from kb.events import Event
 from kb.network import Network, Node
 from kb.records import ReconfigurationPlan
 from kb.status import (
-    OPERATORS,
     Status,
     action_status,
     component_status,
@@ -33,6 +32,7 @@ KEPT: Final = 10_000
 
 
 _UNSTORED: Final = ("network", "keep", "_outdated")
+_SHARED: Final = ("histories", "changed_by")  # by all copies, which do not change them
 
 
 class Reason(NamedTuple):
@@ -113,7 +113,7 @@ class State:
         """Return a copy to suppose other facts in."""
         other = State.__new__(State)
         for name, content in vars(self).items():
-            is_copied = isinstance(content, dict | set) and name != "histories"
+            is_copied = isinstance(content, dict | set) and name not in _SHARED
             vars(other)[name] = content.copy() if is_copied else content
         other._outdated = {kind: set() for kind in self._outdated}
         return other
@@ -285,16 +285,9 @@ class State:
         self.infer()
 
     def set_measurement(self, node: Node, value: float, time: float, number: int) -> None:
-        """Make a measurement the latest one, and touch the constraints whose status may differ."""
-        before = self.value.get(node)
-        if before is None or node in self.stale:
+        """Make a measurement the latest one."""
+        if value != self.value.get(node) or node in self.stale:
             self.touch(node.constraints)
-        elif value != before:
-            for constraint in node.constraints:
-                holds = OPERATORS[constraint.element.operator]
-                threshold = constraint.element.value
-                if holds(value, threshold) is not holds(before, threshold):
-                    self._outdated["constraint"].add(constraint)
         self.value[node] = value
         self.time[node] = time
         self.stale.discard(node)
