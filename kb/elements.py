@@ -85,9 +85,10 @@ class Field(NamedTuple):
 
 
 def identifier(kind: str, name: object) -> str:
-    if not isinstance(name, str) or not name.strip():
+    if not isinstance(name, str) or not name.strip() or not name.isprintable():
         article = "an" if kind[:1] in "aeiou" else "a"
-        raise ModelError(f"the name of {article} {kind} is a non-empty text, not {name!r}")
+        what = f"the name of {article} {kind} is a non-empty text of printable characters"
+        raise ModelError(f"{what}, not {name!r}")
     return name
 
 

@@ -138,8 +138,7 @@ class SafeSwitch(_RoleComposite):
         if before in self.after:
             transition = self.current_child = self.children[self.after.index(before)]
             yield from transition.tick()
-            feedback = f"switching from {before}: {transition.feedback_message}"
-            self.feedback_message = feedback.removesuffix(": ")
+            self.feedback_message = f"switching from {before}: {transition.feedback_message}"
             if transition.status is not SUCCESS:
                 return transition.status
             self.last_action[_LAST] = self.action
@@ -218,11 +217,11 @@ def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behavio
     names = sorted({task.action for task in tasks})
     steps_by_action: dict[str, dict[str, Behaviour]] = {}
     for (before, after), step in transitions.items():
-        for action in (before, after):
-            if action not in names:
-                raise UnknownName("action of the tree", action, names)
-            steps_by_action.setdefault(action, {})
-        steps_by_action[after][before] = step
+        steps_by_action.setdefault(before, {})
+        steps_by_action.setdefault(after, {})[before] = step
+    for action in steps_by_action:
+        if action not in names:
+            raise UnknownName("action of the tree", action, names)
     tasks = [task for task in tasks if task.action in steps_by_action]
     for task in tasks:
         _check_switch(task, tasks, bool(steps_by_action[task.action]))

@@ -31,7 +31,3 @@ def __getattr__(name: str) -> object:
     own = (f"{__name__}.{home}" for home in ("decisions", "scripted"))
     homes = map(import_module, (*own, "missions.engine.components"))
     return next(getattr(home, name) for home in homes if hasattr(home, name))
-
-
-def __dir__() -> list[str]:
-    return __all__

@@ -1,7 +1,8 @@
 """The pytest plugin `rosa`: fixtures for tests of missions, which import when used."""
 
+import re
 from collections.abc import Callable, Iterable, Mapping
-from functools import wraps
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +12,6 @@ if TYPE_CHECKING:
     from missions.testing import Decisions, FakeClock, ScriptedManaged
     from rosa_bt import Trace
 
-_WRITTEN = pytest.StashKey[list[Path]]()
-
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add `--update-traces`."""
@@ -20,19 +19,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--update-traces",
         action="store_true",
-        help="write the golden traces that differ or are missing",
+        help="write the golden traces",
     )
-
-
-def pytest_terminal_summary(
-    terminalreporter: pytest.TerminalReporter, config: pytest.Config
-) -> None:
-    """Say which golden traces were written."""
-    written = config.stash.get(_WRITTEN, [])
-    if written:
-        terminalreporter.section("golden traces written")
-        for path in written:
-            terminalreporter.line(str(path))
 
 
 @pytest.fixture
@@ -59,7 +47,6 @@ def replay(request: pytest.FixtureRequest) -> "Callable[..., Decisions]":
     """
     from missions.testing.decisions import replay
 
-    @wraps(replay)
     def beside(
         source: str | Path | Iterable[Mapping[str, Any]],
         *given: Any,  # noqa: ANN401  # the arguments of replay
@@ -73,27 +60,18 @@ def replay(request: pytest.FixtureRequest) -> "Callable[..., Decisions]":
 
 
 @pytest.fixture
-def golden_trace(request: pytest.FixtureRequest) -> "Callable[..., None]":
+def golden_trace(request: pytest.FixtureRequest) -> "Callable[[Trace], None]":
     """Compare a trace with the one in the folder `golden` beside the test.
 
     `pytest --update-traces` writes that.
     """
-    from missions.testing.decisions import check_golden, golden_path
+    from missions.testing.decisions import check_golden
 
-    config = request.config
     test = request.node.nodeid
-    compared: set[Path] = set()
-
-    def check(trace: "Trace", name: str = "") -> None:
-        __tracebackhide__ = True
-        path = golden_path(request.path, test.partition("::")[2], name)
-        if path in compared:
-            raise ValueError(
-                f"{test} has compared with {path.name} already; golden_trace(trace, name=...)"
-            )
-        compared.add(path)
-        command = f'pytest --update-traces "{test}"'
-        if check_golden(trace, path, update=config.getoption("--update-traces"), command=command):
-            config.stash.setdefault(_WRITTEN, []).append(path)
-
-    return check
+    name = re.sub(r"[^\w\-]+", "_", test.partition("::")[2]).strip("_")
+    return partial(
+        check_golden,
+        path=request.path.parent / "golden" / f"{request.path.stem}.{name}.trace",
+        command=f'pytest --update-traces "{test}"',
+        update=request.config.getoption("--update-traces"),
+    )

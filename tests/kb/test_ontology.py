@@ -127,29 +127,24 @@ TYPE = f'<rdf:type rdf:resource="{ROSA}'
 
 
 @pytest.mark.parametrize(
-    ("text", "message", "line"),
+    ("text", "message"),
     [
-        ("", "nothing in it is described in the words", None),
-        (f"insert {ROSA}", "this is not RDF/XML: syntax error", 1),
-        (f"{HEAD}\n<Action>\n</Function></rdf:RDF>", "this is not RDF/XML: mismatched tag", 3),
-        (
-            NAMED.format("<priorty>1</priorty>"),
-            "unknown word of ROSA 'priorty'; did you mean",
-            None,
-        ),
-        (NAMED.format('<requires rdf:resource="http://x#b"/>'), "unknown individual 'http", None),
-        (NAMED.replace("Action", "Acton"), "unknown word of ROSA 'Acton'", None),
-        (NAMED.replace("<name>go</name>", ""), "http://x#a: the name of an action is", None),
+        ("", "nothing in it is described in the words"),
+        (f"insert {ROSA}", "this is not RDF/XML: syntax error: line 1"),
+        (f"{HEAD}\n<Action>\n</Function></rdf:RDF>", "not RDF/XML: mismatched tag: line 3"),
+        (NAMED.format("<priorty>1</priorty>"), "unknown word of ROSA 'priorty'; did you mean"),
+        (NAMED.format('<requires rdf:resource="http://x#b"/>'), "unknown individual 'http"),
+        (NAMED.replace("Action", "Acton"), "unknown word of ROSA 'Acton'"),
+        (NAMED.replace("<name>go</name>", ""), "http://x#a: the name of an action is"),
     ],
 )
-def test_file_that_is_no_model_is_an_error(text, message, line, tmp_path, capfd):
+def test_file_that_is_no_model_is_an_error(text, message, tmp_path, capfd):
     path = tmp_path / "foreign.owl"
     path.write_text(text.replace("{}", ""))
     with pytest.raises(ModelFileError) as caught:
         Model.load(path)
     assert message in str(caught.value)
     assert str(path) in str(caught.value)
-    assert caught.value.line == line
     assert capfd.readouterr() == ("", "")
 
 
@@ -247,14 +242,22 @@ def test_world_at_its_limit_forgets_the_oldest(monkeypatch):
     monkeypatch.setattr("kb.ontology.HISTORY", 3)
     clock = Clock(0.0)
     kb = KnowledgeBase(robot(), clock=clock)
-    count = "SELECT (COUNT(?m) AS ?n) (MIN(?t) AS ?first) { ?m a :Measurement ; :time ?t }"
-    for _ in range(5):
-        clock.now += 1.0
-        kb.measure("load", clock.now)
-        kb.component_failed("camera")
-        kb.component_recovered("camera")
-    assert kb.query(count) == [(3, 3.0)]
-    assert kb.query("SELECT (COUNT(?f) AS ?n) { ?f a :Failure }") == [(3,)]
+    for clock.now in (1.0, 2.0):
+        for load in (1.0, 2.0, 3.0, 4.0):
+            kb.measure("load", clock.now * load)
+        assert kb.query("SELECT (MIN(?v) AS ?least) { ?m a :Measurement ; :value ?v }") == [
+            (2.0 * clock.now,)
+        ]
+    kb.component_failed("camera")
+    kb.component_recovered("camera")
+    kb.component_failed("camera")
+    failed = "SELECT ?t { ?e a :Event ; :subject 'camera' ; :text ?t } ORDER BY ?e"
+    assert [words for (words,) in kb.query(failed)] == [
+        "camera has failed",
+        "camera is recovered",
+        "camera has failed",
+    ]
+    assert kb.query("SELECT (COUNT(?m) AS ?n) { ?m a :Measurement }") == [(0,)]
 
 
 def test_status_that_lapses_is_no_longer_answered():
@@ -358,8 +361,7 @@ def told():
         kb.measure("light", light)
         kb.measure("energy", 1.0 - light)
         kb.request_action("explore")
-        kb.component_failed("camera")
-        kb.component_recovered("camera")
+    kb.component_failed("camera")
     return kb, as_graph(kb)
 
 
@@ -401,7 +403,7 @@ def test_query_that_is_none_is_an_error(text, error, message):
         kb.query(text)
 
 
-ODD = ("it's", 'say "hi"', "back\\slash", "tab\tx", "new\nline", "''", "é", "x' OR '1'='1")
+ODD = ("it's", 'say "hi"', "back\\slash", "''", "é", "x' OR '1'='1")
 
 
 @pytest.mark.parametrize("name", [*ODD, "\\n", "?x", "#", "??1", ":x"])
