@@ -17,7 +17,7 @@ from pathlib import Path
 from threading import Lock, RLock
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
-from weakref import WeakSet, finalize
+from weakref import finalize
 
 from kb import elements, situations, views
 from kb.debounce import NEVER
@@ -44,7 +44,6 @@ from kb.records import (
     Attempt,
     HistoryView,
     Log,
-    Process,
     ReconfigurationPlan,
     Records,
     Reply,
@@ -65,28 +64,7 @@ _CLOCK_SLACK_S: Final = 1.0
 """How far a clock may go back: clocks are corrected, and threads may be overtaken [s]."""
 _REPLAYABLE: Final[dict[str, Callable[..., object]]] = {}
 """The method that records an event again, by its verb."""
-_LOCKS: Final[WeakSet[Any]] = WeakSet()
-"""The locks of all bases: if another thread held one at a fork, the child could never use that
-base."""
-_held_locks: list[Any] = []
-
 MethodT = TypeVar("MethodT", bound=Callable[..., Any])
-
-
-def _hold_locks() -> None:
-    for lock in tuple(_LOCKS):
-        lock.acquire()
-        _held_locks.append(lock)
-
-
-def _release_locks() -> None:
-    while _held_locks:
-        _held_locks.pop().release()
-
-
-os.register_at_fork(
-    before=_hold_locks, after_in_parent=_release_locks, after_in_child=_release_locks
-)
 
 
 def _update(method: MethodT) -> MethodT:
@@ -194,7 +172,11 @@ class KnowledgeBase:
         self._clock = clock
         self._is_timed = is_timed
         self._lock = RLock()
-        _LOCKS.add(self._lock)
+        os.register_at_fork(  # a lock that another thread holds would stay held in the child
+            before=self._lock.acquire,
+            after_in_parent=self._lock.release,
+            after_in_child=self._lock.release,
+        )
         self._updating = Lock()  # held, with the other one, while this thread records an event
         self.store = None if store is None else Store(store, model, keep)
         self._state = State(Network(model), keep)
@@ -312,8 +294,7 @@ class KnowledgeBase:
     @property
     def latest_plan(self) -> ReconfigurationPlan | None:
         """The plan that was made last."""
-        with self.reading():
-            return next(reversed(self._records.plans.values()), None)
+        return next(reversed(self.plans), None)
 
     @property
     def pending_plan(self) -> ReconfigurationPlan | None:
@@ -412,8 +393,7 @@ class KnowledgeBase:
             are also logged, and counted in `history.rejected`.
         """
         problems = record_diagnostics(self, diagnostics, rules)
-        with self._lock:
-            self._records.rejected += len(problems)
+        self._records.rejected += len(problems)
         return problems
 
     @_update
@@ -592,23 +572,6 @@ class KnowledgeBase:
     # ---------------------------------------------------------------- record what is done
 
     @_update
-    def component_started(self, component: str, pid: int) -> Process:
-        """Record that a process of the operating system was started for a component.
-
-        It need not be active yet.
-        """
-        name = self._network.components[component].name
-        self._record("component_started", name, int(pid))
-        return next(reversed(self._records.processes.values()))
-
-    @_update
-    def component_ended(self, component: str, pid: int | None = None) -> None:
-        """Record that a process of a component has ended: that of this number, else all of them."""
-        name = self._network.components[component].name
-        if self._records.running(name, pid):
-            self._record("component_ended", name, pid)
-
-    @_update
     def record_attempt(
         self,
         plan: ReconfigurationPlan | int,
@@ -699,12 +662,6 @@ class KnowledgeBase:
         self.model.amend(how, written)
 
     _REPLAYABLE["amend"] = _amend
-
-    @_update
-    def _progress(self, action: str, behaviour: str, saved: str) -> None:
-        before = self._records.progress.get((action, behaviour), "")
-        if before != saved:
-            self._record("progress", action, behaviour, saved)
 
     @_update
     def _replay_due(self, verb: str, element: Any, *_: object) -> None:  # noqa: ANN401  # a name or reference
@@ -896,7 +853,7 @@ class KnowledgeBase:
                     state.set_flag("selected", network.find(element), True)
                 case elements.ActiveFact(component):
                     state.set_flag("active", network.components[component], True)
-                case elements.RequiredActionFact() | elements.PlanFact() | elements.ProcessFact():
+                case elements.RequiredActionFact():
                     self._records.begin(fact, -number, now)
         for name in self._records.required:
             state.set_flag("requested", network.actions[name], True)
@@ -1015,18 +972,13 @@ class KnowledgeBase:
 def _chosen(
     parts: Mapping[str, Node], owners: Mapping[str, Node], choice: Mapping[str, str] | None
 ) -> list[Node]:
-    """Return the chosen nodes from a mapping of owner to choice, by name.
-
-    Each choice must be a part of its owner.
-    """
+    """Return the nodes of a choice by owner; each has to be a part of its owner."""
     nodes = []
     for owner_name, name in (choice or {}).items():
         node = parts[name]
         owner = owners[owner_name]
-        if node.used_by[0] is not owner:
-            raise InvalidValue(
-                f"{node.kind} {node.name!r} is of {node.used_by[0].name!r}, not of {owner.name!r}"
-            )
+        if node not in owner.requires:
+            raise InvalidValue(f"{node} is of {node.used_by[0].name!r}, not of {owner.name!r}")
         nodes.append(node)
     return nodes
 
