@@ -9,12 +9,13 @@ import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from functools import wraps
 from itertools import starmap
 from math import inf, isfinite
 from operator import attrgetter
 from pathlib import Path
-from threading import Lock, RLock
+from threading import RLock
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
 from weakref import finalize
@@ -56,10 +57,6 @@ from kb.state import KEPT, Reason, State
 from kb.status import Status
 from kb.store import Store
 
-_REENTRANT: Final = (
-    "re-entrant call during an update: a signal handler or finalizer cannot ask or record "
-    "anything in the midst of an event; do that later"
-)
 _CLOCK_SLACK_S: Final = 1.0
 """How far a clock may go back: clocks are corrected, and threads may be overtaken [s]."""
 _REPLAYABLE: Final[dict[str, Callable[..., object]]] = {}
@@ -81,8 +78,7 @@ def _update(method: MethodT) -> MethodT:
             if self.store is not None:
                 self.store.check_open()
             self._prepare(now)
-            with self._updating:
-                result = method(self, *args, **kwargs)
+            result = method(self, *args, **kwargs)
             last = self.log.last
         if self._publisher.subscribers or self.store is not None:
             self._publish(last)
@@ -177,7 +173,6 @@ class KnowledgeBase:
             after_in_parent=self._lock.release,
             after_in_child=self._lock.release,
         )
-        self._updating = Lock()  # held, with the other one, while this thread records an event
         self.store = None if store is None else Store(store, model, keep)
         self._state = State(Network(model), keep)
         self._records = Records()
@@ -548,7 +543,9 @@ class KnowledgeBase:
             cause = self._cause_of_choice(nodes)
         words = why_selected(state, nodes, self._now, reason, self._records.end_reasons.values())
         number = next(reversed(self._records.plans), 0) + 1
-        flips, plan = state.decide(nodes, words, self._now, cause, number)
+        flips, plan = state.decide(nodes)
+        if plan is not None:
+            plan = replace(plan, reason=words, start=self._now, cause=cause, number=number)
         effects = tuple((node.kind, node.name, node not in state.selected) for node in flips)
         if (plan or effects) and not dry_run:
             choice = [MappingProxyType(dict(each or {})) for each in (designs, configurations)]
@@ -782,14 +779,11 @@ class KnowledgeBase:
 
     def _prepare(self, now: float) -> None:
         """Complete what was interrupted, and record what time has caused until now [s]."""
-        if self._updating.locked():
-            raise KnowledgeBaseError(_REENTRANT)
         self._settled()
         self._now = now = max(now, self.log.time)
         if self._is_timed and now >= self._state.next_due:
-            with self._updating:
-                while (due := self._state.due(now)) is not None:
-                    self._record_due(*due)
+            while (due := self._state.due(now)) is not None:
+                self._record_due(*due)
 
     def _record_due(self, time: float, what: str, node: Node) -> None:
         """Record what time causes, at the instant at which it is due."""
@@ -807,20 +801,15 @@ class KnowledgeBase:
             self._record(what, node.ref, status, words=words, time=time)
 
     def _catch_up_with_time(self) -> None:
-        """Record what time has caused until now, unless this thread is just recording a fact."""
+        """Record what time has caused until now."""
         now = self._read_clock()
         with self._lock:
-            if self._event is not None or not self._updating.locked():
-                self._prepare(now)
+            self._prepare(now)
         self._publish()
 
     def _settled(self) -> State:
         """Return the state, after an interrupted event is completed."""
-        if self._event is not None:
-            if self._updating.locked():
-                raise KnowledgeBaseError(_REENTRANT)
-            with self._updating:
-                self._complete_event()
+        self._complete_event()
         return self._state
 
     def _publish(self, last: int = 0) -> None:
@@ -865,13 +854,10 @@ class KnowledgeBase:
     def _record_amendment(self, change: elements.Amended) -> None:
         """Record a change of the model, unless it is recorded already."""
         with self._lock:
-            if self._updating.locked():
-                raise KnowledgeBaseError(_REENTRANT)
             self._settled()
-            with self._updating:
-                if change is not self._followed:
-                    change.put()  # no fact is recorded meanwhile: each is of one model
-                    self._follow(change)
+            if change is not self._followed:
+                change.put()  # no fact is recorded meanwhile: each is of one model
+                self._follow(change)
 
     def _follow(self, change: elements.Amended) -> None:
         for element in change.elements if change.how == "removed" else ():
@@ -949,7 +935,7 @@ class KnowledgeBase:
 
     def _record_store_message(self, words: str) -> None:
         """Record how the store is."""
-        with self._lock, self._updating:
+        with self._lock:
             self._record("store", words)
         self._publish()
 

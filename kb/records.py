@@ -91,8 +91,8 @@ class ReconfigurationPlan:
     activate: tuple[str, ...]
     deactivate: tuple[str, ...]
     parameters: tuple[str, ...]
-    reason: str
-    start: float
+    reason: str = ""
+    start: float = 0.0
     end: float | None = None
     result: str | None = None
     plain: tuple[str, ...] = ()

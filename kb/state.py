@@ -169,18 +169,11 @@ class State:
 
     # ---------------------------------------------------------------- choosing
 
-    def decide(
-        self,
-        chosen: Sequence[Node],
-        reason: str = "",
-        time: float = 0.0,
-        cause: int | None = None,
-        number: int = 0,
-    ) -> tuple[list[Node], ReconfigurationPlan | None]:
+    def decide(self, chosen: Sequence[Node]) -> tuple[list[Node], ReconfigurationPlan | None]:
         """Decide what a choice changes; what is obsolete is given up. Nothing changes yet.
 
         Returns the designs and configurations that are selected and were not, or the other way
-        round, and the plan that carries it out; None if there is nothing to do.
+        round, and the steps that carry it out; None if there is nothing to do.
         """
         flips = []
         for node in chosen:
@@ -218,13 +211,7 @@ class State:
         )
         if not (activate or deactivate or parameters):
             return flips, None
-        plan = ReconfigurationPlan(
-            *(activate, deactivate, parameters, reason, time),
-            plain=names,
-            cause=cause,
-            number=number,
-        )
-        return flips, plan
+        return flips, ReconfigurationPlan(activate, deactivate, parameters, plain=names)
 
     def after(self, flips: Iterable[Node]) -> "State":
         """Return a copy in which these are selected if they were not, or the other way round."""
@@ -516,16 +503,13 @@ class State:
         return state
 
     def _restart(self, node: Node, now: float) -> None:
-        """Judge constraints as if all that is known of their attribute were the latest value."""
+        """Judge constraints by what is known of their attribute, whatever they were before."""
         is_attribute = node.kind == "attribute"
         attribute = node if is_attribute else node.requires[0]
         self.stale.discard(attribute)
-        if attribute in self.histories:
-            self.silent_until[attribute] = self.histories[attribute][-1][2] - 1
+        self.silent_until.pop(attribute, None)
         for constraint in attribute.constraints if is_attribute else [node]:
             self.debounced.pop(constraint, None)
-            if constraint in attribute.debounced:
-                self.debounced[constraint] = Debounced()
         self._schedule_attribute(attribute, now)
 
 
