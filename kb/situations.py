@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from kb import explain as explanation
 from kb import views
-from kb.elements import Constraint, Element, finite_number, listed, meant_by, shown
+from kb.elements import Constraint, Element, finite_number, listed, meant_by
 from kb.exceptions import InvalidValue
 from kb.forecast import feasible_until, suppose_forecast
 from kb.network import Network, Node, Ref
@@ -316,4 +316,4 @@ def number(refusal: str, value: object, attribute: Node) -> float:
     try:
         return attribute.attribute.checked(value)
     except InvalidValue as error:
-        raise InvalidValue(f"{refusal} {shown(value)}: {error}") from None
+        raise InvalidValue(f"{refusal} {value!r:.200}: {error}") from None

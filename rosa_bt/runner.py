@@ -19,13 +19,9 @@ from rosa_bt.exceptions import ClockError, errors_of, report
 from rosa_bt.requests import SUCCESS, advance_halting, end_halting, forget_progress, requests_of
 
 _log = logging.getLogger(__name__)
+_ON_ERROR = ("fail", "raise")
+_ON_CLOCK_SET_BACK = ("follow", "refuse")
 Handler = Callable[[BehaviourTree], None]
-
-
-def _check_choice(argument: str, value: str, choices: tuple[str, ...]) -> None:
-    """Raise a ValueError unless a value is one of the choices."""
-    if value not in choices:
-        raise ValueError(f"{argument} is {' or '.join(map(repr, choices))}, not {value!r}")
 
 
 class TreeRunner(BehaviourTree):
@@ -66,8 +62,9 @@ class TreeRunner(BehaviourTree):
     ) -> None:
         if not period > 0:
             raise ValueError(f"the period of a tree is more than 0 s, not {period!r}")
-        _check_choice("on_error", on_error, ("fail", "raise"))
-        _check_choice("on_clock_set_back", on_clock_set_back, ("follow", "refuse"))
+        for choice, choices in ((on_error, _ON_ERROR), (on_clock_set_back, _ON_CLOCK_SET_BACK)):
+            if choice not in choices:
+                raise ValueError(f"{choice!r} is none of {', '.join(choices)}")
         super().__init__(root)
         self.errors = errors_of(root)
         self._clock = clock

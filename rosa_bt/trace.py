@@ -121,7 +121,7 @@ class TraceVisitor(VisitorBase):
         self._kb = kb
         self._file: TextIO | None = None
         if path is not None:
-            self._file = Path(path).open("w", buffering=1)  # noqa: SIM115  # closed by close()
+            self._file = Path(path).open("w", buffering=1)  # noqa: SIM115  # closed by __exit__
             self._file.write(_first_line(kb.model.name))
         self._ticks: deque[Tick] = deque(maxlen=keep)
         self._written = 0  # number of the last event that is written
@@ -196,18 +196,15 @@ class TraceVisitor(VisitorBase):
         if self._thread == get_ident() and event.verb not in _CAUSED_BY_TIME:
             self._own.add(event.number)
 
-    def close(self) -> None:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
         """Stop recording, and close the file."""
         log = self._kb.log
         log.witnesses = tuple(other for other in log.witnesses if other != self._witness)
         if self._file is not None:
             self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def _number(self, root: Behaviour) -> None:
         seen = [
@@ -253,12 +250,12 @@ def read_trace(path: str | Path) -> Trace:
     """
     content = Path(path).read_bytes()
     whole = content.rpartition(b"\n")[0]  # a program that is killed cuts the last line
-    model = None
     ticks = [_NO_TICK]
-    for number, text in enumerate(whole.splitlines(), start=1):
+    model = ""
+    for number, text in enumerate(whole.splitlines() or [b""], start=1):
         try:
             line = json.loads(text)
-            if model is not None:
+            if number > 1:
                 ticks.append(_read_tick(line, ticks[-1]))
                 continue
             version = line["rosa_bt_trace"]
@@ -269,8 +266,6 @@ def read_trace(path: str | Path) -> Trace:
         if version != _VERSION:
             how = f"this program reads version {_VERSION}"
             raise TraceError(f"{path} has version {version}; {how}")
-    if model is None:
-        raise TraceError(f"{path} is empty; a trace begins with a line that says what it is")
     return Trace(model, tuple(ticks[1:]))
 
 

@@ -325,7 +325,7 @@ class ExpectedEffects:
         self._domain = domain
         self._kb = kb
         self._unmet: dict[Limit, UnmetEffect] = {}
-        self._hopeless: frozenset[Limit] = frozenset()
+        self._hopeless = hopeless_promises(domain, kb)
         self._limited = lru_cache(_MOST_DOMAINS)(_limited)
 
     def use(self, domain: Domain) -> None:
@@ -370,8 +370,26 @@ class ExpectedEffects:
                 del self._unmet[limit]
 
     def assumptions(self, steps: Iterable[Step], state: State) -> tuple[str, ...]:
-        """Return what a plan assumes about what makes actions feasible, in sentences."""
-        return assumptions(self._domain, self._kb, steps, state)
+        """Return what a plan assumes about what makes actions feasible, in sentences.
+
+        Nothing is assumed about an action whose model says what it restores.
+        """
+        domain = self._domain
+        sentences = dict[str, None]()
+        model = getattr(self._kb, "model", None)
+        feasibility = domain.feasibility
+        for step in steps:
+            schema = domain.schema_of[step.schema]
+            _, added = changes(domain, schema.effects, binding_of(domain, step), state)
+            restores = ()
+            if model is not None and step.action is not None:
+                restores = model.actions[step.action].restores
+            for atom in sorted((added - state) & feasibility.keys()):
+                if not restores:
+                    why = why_of(self._kb, feasibility[atom])
+                    sentences[f"assumes that {step.schema} cures: {why}"] = None
+            state = ended(domain, step, started(domain, step, state))
+        return tuple(sentences)
 
 
 def _limited(domain: Domain, limits: Iterable[Limit]) -> Domain:
@@ -390,12 +408,6 @@ def _limited(domain: Domain, limits: Iterable[Limit]) -> Domain:
 
         schemas[name] = schemas[name].with_effects(limited)
     return replace(domain, schema_of=schemas)
-
-
-def without_hopeless(domain: Domain, kb: Feasibility) -> Domain:
-    """Return a domain without the promises that its actions cannot keep, by the model."""
-    limits = hopeless_promises(domain, kb)
-    return _limited(domain, limits) if limits else domain
 
 
 def hopeless_promises(domain: Domain, kb: Feasibility) -> frozenset[Limit]:
@@ -426,30 +438,6 @@ def hopeless_promises(domain: Domain, kb: Feasibility) -> frozenset[Limit]:
 def why_of(kb: Feasibility, action: str) -> str:
     """Return in words why an action is unfeasible."""
     return kb.why(action) if isinstance(kb, Explaining) else f"{action} is unfeasible"
-
-
-def assumptions(
-    domain: Domain, kb: Feasibility, steps: Iterable[Step], state: State
-) -> tuple[str, ...]:
-    """Return what a plan assumes about what makes actions feasible, in sentences.
-
-    Nothing is assumed about an action whose model says what it restores.
-    """
-    sentences = dict[str, None]()
-    model = getattr(kb, "model", None)
-    feasibility = domain.feasibility
-    for step in steps:
-        schema = domain.schema_of[step.schema]
-        _, added = changes(domain, schema.effects, binding_of(domain, step), state)
-        restores = ()
-        if model is not None and step.action is not None:
-            restores = model.actions[step.action].restores
-        for atom in sorted((added - state) & feasibility.keys()):
-            if not restores:
-                why = why_of(kb, feasibility[atom])
-                sentences[f"assumes that {step.schema} cures: {why}"] = None
-        state = ended(domain, step, started(domain, step, state))
-    return tuple(sentences)
 
 
 def causes_of(kb: Feasibility, action: str) -> frozenset[str]:

@@ -5,6 +5,7 @@ planner's answer, starts steps and decides whether to ask for a plan: see `PlanE
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from inspect import signature
 from typing import Any
 
 from py_trees.behaviour import Behaviour
@@ -217,6 +218,12 @@ class PlanExecutor(Behaviour):
             raise SensingError(f"{message}, such as lambda: {{'(lit room)': True}}")
         self._findings = domain.check(kb)
         check_behaviours(domain, behaviours)
+        for schema, factory in behaviours.items():
+            try:
+                signature(factory).bind("step")
+            except TypeError:
+                message = f"what makes {schema!r} takes {signature(factory)}"
+                raise MissingBehaviourError(f"{message}, expected one argument: the step") from None
         self.goals = Goals(domain)
         self._domain = domain
         self._factories = dict(behaviours)

@@ -40,7 +40,7 @@ _FREE = "rosa-free"
 
 
 class Outcome(Enum):
-    """How planning ended; if all attempts fail, the first of these that one had is reported."""
+    """How planning ended."""
 
     SOLVED = "solved"
     SOLVED_OPTIMALLY = "solved optimally"
@@ -85,36 +85,16 @@ class PlanningFailed(Exception):
 
 
 @dataclass(frozen=True)
-class Attempt:
-    """One strategy of planning that was tried.
-
-    Args:
-        strategy: `search`, or the name of an engine.
-        outcome: how it ended.
-        message: what went wrong and what to do about it; empty when solved.
-    """
-
-    strategy: str
-    outcome: Outcome
-    message: str = ""
-
-    def __str__(self) -> str:
-        reason = f" ({self.message})" if self.message else ""
-        return f"{self.strategy}: {self.outcome}{reason}"
-
-
-@dataclass(frozen=True)
 class PlanningResult:
     """The answer of a planner.
 
     Args:
         outcome: how it ended.
         steps: the plan, in the order of their starts; empty unless solved.
-        engine: the strategy that answered, or the engine that should have answered.
-        message: without a plan, what was tried and what to do about it.
+        engine: who answered: `search`, or the name of an engine.
+        message: without a plan, what went wrong and what to do about it.
         cost: what the plan adds to the metric, or the number of its steps without a metric.
         schedule: when each step starts and how long it takes, if steps may overlap.
-        attempts: what was tried, in order.
         assumptions: what the plan relies on and nobody knows, in sentences.
     """
 
@@ -124,14 +104,12 @@ class PlanningResult:
     message: str = ""
     cost: float | None = None
     schedule: tuple[TimedStep, ...] = ()
-    attempts: tuple[Attempt, ...] = ()
     assumptions: tuple[str, ...] = ()
 
     @property
-    def hangs_on_the_clock(self) -> bool:
-        """Whether an attempt ran out of time, so that a faster machine might answer otherwise."""
-        outcomes = {self.outcome, *(attempt.outcome for attempt in self.attempts)}
-        return Outcome.OUT_OF_TIME in outcomes
+    def attempts(self) -> tuple[str, ...]:
+        """Who was asked, with the outcome."""
+        return (f"{self.engine}: {self.outcome}",)
 
 
 @dataclass(frozen=True)
@@ -376,8 +354,7 @@ class _Writer:
         if metric is not None and self._style != "costs":
             terms.append(text_of(metric))
         elif metric is None and self._style == "overlapping":
-            # unified-planning reads no sum with the time
-            terms = [*terms, f"({TIME})"] if self._problem.weights else [f"({TIME})"]
+            terms.append(f"({TIME})")
         for number, goal in enumerate(self._problem.soft):
             worth = number_text(exact(goal.worth or 0))
             terms.append(f"(* {worth} (is-violated rosa-soft-{number}))")

@@ -172,7 +172,6 @@ _FIELDS: Final[Mapping[str, tuple[Any, str]]] = {
     "actions": (Mapping, "a mapping of PDDL actions to behaviours"),
     "domain": ((Path, type(None)), "a pathlib.Path"),
     "problem": ((Path, type(None), Callable), "a pathlib.Path"),
-    "engines": (tuple, "a tuple of names"),
 }
 _PARAMETERS: Final = {
     "model": "",
@@ -200,8 +199,7 @@ class Mission:
             parameter `step` also receives the `rosa_pddl.Step` that it does.
         facts: returns what holds now, as in the PDDL problem: facts such as {"(lit room)": True},
             and numbers for costs such as {"(length a b)": 3.5}.
-        engines: names of planning engines, see `rosa_pddl.Planner`: the first one plans, the others
-            if it fails; empty for the default.
+        engine: name of the planning engine, see `rosa_pddl.Planner`; None for the default.
         fixed: settings of the world that belong to this mission.
         why_not: returns why the goal cannot be reached, by what is known and was sensed; empty if
             it cannot tell. With a reason, the mission ends as soon as its world `is_still`.
@@ -221,7 +219,7 @@ class Mission:
     problem: Path | Callable[[], str] | None = None
     actions: Mapping[str, Callable[..., Behaviour]] = field(default_factory=dict)
     facts: Callable[[KnowledgeBase, Percepts], Mapping[str, bool | float]] = lambda kb, percepts: {}
-    engines: tuple[str, ...] = ()
+    engine: str | None = None
     fixed: Mapping[str, str] = field(default_factory=dict)
     why_not: Callable[[KnowledgeBase, Percepts], str] = lambda kb, percepts: ""
     selects: bool = False

@@ -25,22 +25,22 @@ from missions.engine.mission import (
     World,
     WorldKind,
     blamed,
-    built,
     find_mission,
 )
 from missions.engine.percepts import Message, Percepts
 from missions.engine.recording import read_recording
 from missions.engine.runner import MissionRun, RosaRun
 from missions.engine.settings import MissionError, RunSettings
+from missions.testing.scripted import CommandFailed as CommandFailed
 from missions.testing.scripted import FakeClock, ScriptedManaged
+from missions.testing.scripted import LeafMock as LeafMock
+from missions.testing.scripted import mock_leaf as mock_leaf
 from missions.wires.mcap import Bag, is_bag, read_bag
 from rosa_bt import Trace, TraceVisitor
 from rosa_bt.trace import Node, Visit
 
 if TYPE_CHECKING:
     from numpy.random import Generator
-
-    from rosa_pddl import PlanRecord
 
 SLACK_S: Final = 1e-6
 """Tolerance for rounding errors of summed ticks [s]."""
@@ -96,7 +96,6 @@ class Decisions:
     Attributes:
         actions: (name, start, end, result) of every action; None if the recording ends before.
         adaptations: every adaptation with its reason.
-        task_plans: every task plan; none for a tree.
         problems: (time, what) of every part of a message that could not be used.
         timeline: what became known and was decided, for people.
         trace: every tick of the task layer, as data.
@@ -107,7 +106,6 @@ class Decisions:
     actions: tuple[tuple[str, float, float | None, str | None], ...]
     plans: tuple[ReconfigurationPlan, ...]
     adaptations: tuple[Adaptation, ...]
-    task_plans: tuple["PlanRecord", ...]
     problems: tuple[tuple[float, DiagnosticProblem], ...]
     timeline: tuple[Moment, ...] = field(repr=False)
     trace: Trace = field(repr=False)
@@ -130,7 +128,7 @@ class Decisions:
         if begun != list(names):
             diff = [line.rstrip() for line in ndiff(names, begun) if not line.startswith("?")]
             headline = "other actions were begun (-: expected, +: what was done)"
-            raise self._error([headline, *diff])
+            raise self._error([headline, *diff], 0.0, ", ".join(names))
 
     def assert_adapts(
         self, *, at: float, from_: str | None = None, to: str | None = None, within: float = 1.0
@@ -211,8 +209,8 @@ class Decisions:
         for time, step in sorted(steps):
             if step in unwanted and since - SLACK_S <= time <= until + SLACK_S:
                 expected = f"never {_phrase(unwanted)}"
-                headline = f"expected: {expected}\n  but {' '.join(step)} at {seconds(time)}"
-                raise self._error([headline, "", "what happened:", *self._around(time, expected)])
+                lines = [f"expected: {expected}", f"  but {' '.join(step)} at {seconds(time)}"]
+                raise self._error(lines, time, expected)
 
     def _steps(self, **names: Names) -> set[Step]:
         """Return the steps with these names, by verb; the model has to have them."""
@@ -236,20 +234,17 @@ class Decisions:
                 return thing
         span = f"between {seconds(at)} and {seconds(at + within)}"
         lines = [f"  but {words}" for _, _, words, _ in candidates] or ["  but it never does"]
-        title = f"what happened around {seconds(at)}:"
-        around = self._around(at, expected)
-        raise self._error([f"expected {span}: {expected}", *lines, "", title, *around])
+        raise self._error([f"expected {span}: {expected}", *lines], at, expected)
 
-    def _around(self, time: float, expected: str) -> list[str]:
-        """Return the timeline around a time [s], with the expectation in its place, as lines."""
+    def _error(self, lines: Sequence[str], time: float, expected: str) -> AssertionError:
+        """Return an error with the timeline around a time [s], the expectation in its place."""
         place = Moment(time, "EXPECTED", expected)
         moments = sorted([place, *self.timeline], key=lambda moment: moment.time)
         first = max(moments.index(place) - BEFORE, 0)
-        return [str(moment) for moment in moments[first : first + MOST]]
-
-    def _error(self, lines: Sequence[str]) -> AssertionError:
+        around = map(str, moments[first : first + MOST])
         unused = dict.fromkeys(f"could not be used: {problem}" for _, problem in self.problems)
-        return AssertionError("\n".join([*lines, *[*unused][:MOST]]))
+        text = [*lines, "", "what happened:", *around, *[*unused][:MOST]]
+        return AssertionError("\n".join(text))
 
 
 def seconds(time: float) -> str:
@@ -299,7 +294,7 @@ def _phrase(steps: Iterable[Step]) -> str:
 
 def replay(
     source: str | Path | Bag | Iterable[Message],
-    mission: Mission | Model | Callable[[], Model] | str,
+    mission: Mission | Model | str,
     behaviour: TaskFactory | None = None,
     *,
     task: str = "bt",
@@ -313,8 +308,7 @@ def replay(
         source: a recording, as `rosa run MISSION --record FILE` writes it, or written by hand; a
             rosbag2 with diagnostics (MCAP or sqlite3), or one that was read already; or the
             messages themselves.
-        mission: the mission that decides, or its name; or, if a behaviour is given, only a model or
-            a function that makes one.
+        mission: the mission that decides, or its name; or, if a behaviour is given, only a model.
         behaviour: makes a task layer that replaces the mission's, given the knowledge base and the
             percepts.
         task: the kind of the mission's task layer, "bt" or "pddl".
@@ -335,8 +329,7 @@ def replay(
     world = Recording(messages, managed or ScriptedManaged(FakeClock()))
     end_s = max((message["time"] for message in messages), default=0.0) + AFTERMATH_S
     with blamed(lambda: "what the recording says of how it was run cannot be used"):
-        takes_s = recorded.get("switching_s", {})
-        usual_s = {verb: takes_s.get(verb, SWITCHING_S) for verb in VERBS}
+        usual_s = dict.fromkeys(VERBS, SWITCHING_S) | recorded.get("switching_s", {})
         world.managed.follow(recorded.get("commands", ()), usual_s)
         values = {"duration_s": end_s, **recorded.get("settings", {})}
         texts = {name: str(value) for name, value in values.items()}
@@ -401,17 +394,13 @@ class _Nowhere(WorldKind):
         return Verdict("replayed", "")
 
 
-def _mission_of(
-    source: Mission | Model | Callable[[], Model] | str, behaviour: TaskFactory | None
-) -> Mission:
+def _mission_of(source: Mission | Model | str, behaviour: TaskFactory | None) -> Mission:
     """Return the mission that decides, with the behaviour as its tree."""
     mission = find_mission(source) if isinstance(source, str) else source
     if isinstance(mission, Mission):
         return replace(mission, tree=behaviour or mission.tree)
-    if behaviour is None:
-        raise MissionError("a model decides nothing by itself; replay(source, model, behaviour)")
-    if not isinstance(mission, Model):
-        mission = built("the model to replay to", Model, mission)
+    if not isinstance(mission, Model) or behaviour is None:
+        raise MissionError("nothing here decides; write replay(source, model, behaviour)")
     model = mission
     return Mission(model.name, "", lambda: model, behaviour, _Nowhere())
 
@@ -432,14 +421,12 @@ def _decide(run: RosaRun, world: Recording) -> Decisions:
         verdict = run.run()
     moments = timeline(events, run.adaptations)
     if world.unheard:
-        left = f"messages that were not heard: {len(world.unheard)}"
-        text = f"the mission ended ({verdict.outcome}); {left}"
+        text = f"the mission ended ({verdict.outcome}) before {len(world.unheard)} messages"
         moments += (Moment(world.now, "end", text),)
     return Decisions(
         tuple((record.action, record.start, record.end, record.result) for record in run.actions),
         run.kb.plans,
         tuple(run.adaptations),
-        run.plans,
         tuple(run.problems),
         moments,
         visitor.trace,

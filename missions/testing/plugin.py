@@ -1,7 +1,7 @@
 """The pytest plugin `rosa`: fixtures for tests of missions, which import when used."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,11 +15,8 @@ if TYPE_CHECKING:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add `--update-traces`."""
-    group = parser.getgroup("rosa", "adaptive missions (rosa)")
-    group.addoption(
-        "--update-traces",
-        action="store_true",
-        help="write the golden traces",
+    parser.getgroup("rosa", "adaptive missions (rosa)").addoption(
+        "--update-traces", action="store_true", help="write the golden traces"
     )
 
 
@@ -47,11 +44,7 @@ def replay(request: pytest.FixtureRequest) -> "Callable[..., Decisions]":
     """
     from missions.testing.decisions import replay
 
-    def beside(
-        source: str | Path | Iterable[Mapping[str, Any]],
-        *given: Any,  # noqa: ANN401  # the arguments of replay
-        **named: Any,  # noqa: ANN401  # the arguments of replay
-    ) -> "Decisions":
+    def beside(source: Any, *given: Any, **named: Any) -> "Decisions":  # noqa: ANN401  # as replay
         if isinstance(source, str | Path):
             source = request.path.parent / source
         return replay(source, *given, **named)

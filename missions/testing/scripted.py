@@ -9,8 +9,8 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from kb import UnknownName
+from missions.engine.components import CommandFailed as CommandFailed
 from missions.engine.components import (
-    VERBS,
     NamedComponents,
     Script,
     SimulatedComponents,
@@ -135,15 +135,14 @@ class ScriptedManaged(SimulatedComponents):
     """A managed system without a robot; `script` makes commands fail, hang or lie.
 
     Args:
-        clock: gives the time; the test or the replay moves it.
-        takes: how long a command takes [s]; None: no time, or in a replay as long as recorded.
+        clock: gives the time; the test or the replay moves it. A command takes no time, or in a
+            replay as long as recorded.
     """
 
-    def __init__(self, clock: FakeClock, takes: float | None = None) -> None:
+    def __init__(self, clock: FakeClock) -> None:
         self._names = NamedComponents()
-        super().__init__(clock, self._names, dict.fromkeys(VERBS, takes or 0.0))
+        super().__init__(clock, self._names)
         self.clock = clock
-        self._is_timed = takes is not None
         self._recorded: dict[tuple[str, str], list[Script]] = {}
 
     def follow(
@@ -152,11 +151,9 @@ class ScriptedManaged(SimulatedComponents):
         """Let unscripted commands end as recorded: (verb, component, seconds, is successful).
 
         A command after the last recorded one of its kind ends as that did. A command of another
-        kind takes the usual time of its verb [s], unless the system was made with times of its own.
+        kind takes the usual time of its verb [s].
         """
-        if not self._is_timed:
-            self.takes = checked_times(usual)
-            self._is_timed = True
+        self.takes = checked_times(usual)
         for verb, component, takes, is_well in commands:
             script = Script(takes, 0 if is_well else math.inf)
             self._recorded.setdefault((verb, component), []).append(script)

@@ -50,7 +50,10 @@ MEANING = [
     (f"(required-component: $c) isa {DESIGN[19:]};", "6:30: .* is not complete: .* 'function'"),
     ("(component: $x) isa component-process;", r"6:13: unknown variable '\$x'.*`\$x isa ...`"),
     ("$x isa Componnt;", "6:8: unknown type 'Componnt'; did you mean 'Component'"),
-    ("$x isa Component;", "6:8: the name of a component is a non-empty text, not ''"),
+    (
+        "$x isa Component;",
+        "6:8: the name of a component is a non-empty text of printable characters, not ''",
+    ),
     ("$a isa Function;", "6:8: `.a` has a type already"),
     ("$c has component-name 'other';", "6:8: a second component-name; a component has one"),
     (f"{DESIGN}, has priority 'one';", "6:20: the priority of 'd' is a finite number or None"),

@@ -88,7 +88,7 @@ def test_assertion_that_fails_shows_the_events_around_its_time():
     lines = message.splitlines()
     assert lines[0] == "expected between 15.00 s and 15.50 s: explore -> charge"
     assert lines[3:7] == [
-        "what happened around 15.00 s:",
+        "what happened:",
         "     0.50 s  heard     energy is 1",
         "    10.00 s  heard     light is 0.3",
         "    10.00 s  plan      configure night: completed at 10.05 s",
@@ -129,7 +129,7 @@ def test_mission_that_ends_before_its_recording_says_so():
     drop = [measured(20.0, energy=0.1), sensed(30.0)]
     stream = [measured(0.0, light=0.9, energy=1.0), sensed(5.0, explored=True), *drop]
     decisions = replay(stream, rover_model(), rover_tree)
-    ending = "the mission ended (replayed); messages that were not heard: 2"
+    ending = "the mission ended (replayed) before 2 messages"
     assert ending in failure_of(decisions.assert_adapts, at=20.0, to="charge")
     assert str(decisions).endswith(ending)
     assert not any(moment.what == "end" for moment in rover().timeline)
@@ -217,11 +217,10 @@ def test_replay_needs_no_simulator():
         (ENERGY_DROP, "suaf", None, "unknown mission 'suaf'; there are suave, suave_extended"),
         (ENERGY_DROP, rover_model(), "rover_tree", "expected is a function"),
         (ENERGY_DROP, rover_model(), lambda kb, percepts: None, "is None, not a py_trees"),
-        (ENERGY_DROP, rover_model, None, "a model decides nothing by itself"),
-        (ENERGY_DROP, dict, rover_tree, r"the model to replay to is \{\}, not a Model"),
-        (ENERGY_DROP, 3, rover_tree, "the model to replay to"),
+        (ENERGY_DROP, rover_model, None, "nothing here decides"),
+        (ENERGY_DROP, 3, rover_tree, "nothing here decides; write replay"),
         ([failed(1.0, "camra")], rover_model(), rover_tree, "unknown component 'camra'"),
-        ([measured(1.0, energy=math.nan)], rover_model(), rover_tree, "a measurement is a finite"),
+        ([measured(1.0, energy=math.nan)], rover_model(), rover_tree, "a finite number is needed"),
     ],
 )
 def test_replay_of_what_makes_no_sense_is_refused(source, model, tree, words):

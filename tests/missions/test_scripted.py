@@ -28,7 +28,7 @@ COMMANDS = st.lists(
 
 @given(COMMANDS, st.sampled_from([0.0, 0.5, 3.0]))
 def test_commands_to_a_component_are_carried_out_in_order(commands, takes):
-    managed = ScriptedManaged(FakeClock(), takes=takes)
+    managed = ScriptedManaged(FakeClock()).script("a", takes=takes).script("b", takes=takes)
     last = {}
     for verb, component, pause in commands:
         last[component] = verb, getattr(managed, verb)(component)

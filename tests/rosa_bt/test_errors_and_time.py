@@ -214,8 +214,8 @@ def test_setup_reaches_a_behaviour_inserted_later():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"clock": float, "on_error": "rais"}, "on_error is 'fail' or 'raise', not 'rais'"),
-        ({"clock": float, "on_clock_set_back": "go"}, "on_clock_set_back is 'follow' or 'refuse'"),
+        ({"clock": float, "on_error": "rais"}, "'rais' is none of fail, raise"),
+        ({"clock": float, "on_clock_set_back": "go"}, "'go' is none of follow, refuse"),
         ({"clock": float, "period": 0.0}, "the period of a tree is more than 0 s"),
     ],
 )

@@ -124,7 +124,7 @@ HEAD = '{"rosa_bt_trace":4,"model":"x"}\n'
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "is empty"),
+        ("", r":1: not a line of a trace"),
         (
             "nonsense\n",
             r":1: not a line of a trace .JSONDecodeError: Expecting value: line 1 column 1",
