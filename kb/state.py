@@ -497,12 +497,12 @@ class State:
                 }
         for element in changed:
             if isinstance(element, Attribute | Constraint):
-                state._restart(nodes[element], now)
+                state.restart(nodes[element], now)
         state.touch(network.present())
         state.infer()
         return state
 
-    def _restart(self, node: Node, now: float) -> None:
+    def restart(self, node: Node, now: float) -> None:
         """Judge constraints by what is known of their attribute, whatever they were before."""
         is_attribute = node.kind == "attribute"
         attribute = node if is_attribute else node.requires[0]
