@@ -67,7 +67,6 @@ CLASSES: Final[Mapping[type, str]] = {
     **{cls: words.title().replace(" ", "") for cls, words in elements.ROSA.items()},
     records.RequiredAction: "RequiredAction",
     records.ReconfigurationPlan: "ReconfigurationPlan",
-    records.Process: "ComponentProcess",
     records.Attempt: "Attempt",
     records.VetoAnswer: "VetoAnswer",
 }
@@ -549,7 +548,7 @@ class _Live(_Graph):
     def _new_records(self, kb: Any) -> Iterator[Individual]:  # noqa: ANN401  # a knowledge base
         """Yield the records that are new or had not ended."""
         history = kb.history
-        tables = (history.actions, history.processes, history.attempts, history.answers)
+        tables = (history.actions, history.attempts, history.answers)
         for table in (kb.plans, *tables):
             for record in table[-RECORDS:]:
                 number = getattr(record, "serial", None) or record.number
