@@ -191,14 +191,6 @@ def test_manager_that_does_not_go_with_a_mission_is_refused(mission, manager, me
     assert message in str(refusal.value)
 
 
-def test_configurations_to_use_are_those_of_the_model(new):
-    with pytest.raises(MissionError) as refusal:
-        open_run(find_mission(f"{new()}:MISSION"), manager="fixed", settings={"use": "nite"})
-    assert "setting use names 'nite'; the model has by_camera, by_wheels, day, night" in str(
-        refusal.value
-    )
-
-
 def test_units_are_those_of_attributes_and_of_endings(new):
     model = find_mission(f"{new()}:MISSION").model()
     model.quality_attribute("tank_level", unit="l")
