@@ -31,9 +31,13 @@ class Sequence(Control):
     goes_on = SUCCESS
     is_async = False
     keeps_place = False
-    FORGETS: ClassVar[tuple[str, ...]] = ("_skipped", "current_child")
     current_child: Behaviour | None = None
     _skipped = 0
+
+    def forget(self) -> None:
+        super().forget()
+        if not self.keeps_place:
+            self.current_child = None
 
     def decide(self) -> Ticking:
         return (yield from self.tick_in_order(self.slots))
@@ -69,7 +73,6 @@ class AsyncSequence(Sequence):
 class SequenceWithMemory(AsyncSequence):
     """Goes on where it was, also after a failure or a halt."""
 
-    FORGETS = ("_skipped",)
     keeps_place = True
 
 
@@ -124,7 +127,6 @@ class ReactiveFallback(ReactiveSequence):
 class PipelineSequence(ReactiveSequence):
     """A sequence that ticks earlier children again, and goes on even if one is RUNNING then."""
 
-    FORGETS = ("_furthest",)
     is_reactive_sequence = False
     _furthest = 0
 
@@ -197,7 +199,6 @@ class IfThenElse(Control):
     """
 
     CHILDREN = (2, 3)
-    FORGETS = ("_chosen",)
     asks_always = False
     _chosen = 0
 
@@ -238,32 +239,26 @@ class Switch(Control, is_node=False):
     """
 
     runs = False
-    FORGETS = ("_running",)
-    _running: Slot | None = None
 
     def decide(self) -> Ticking:
         *cases, chosen = self.slots
         for number in range(len(cases), 0, -1):
             if self._matches(f"case_{number}"):
                 chosen = cases[number - 1]
-        if self._running is not None and self._running is not chosen:
-            self._running.reset()
+        self.reset_children(chosen)
         verdict = yield from chosen.tick()
-        self._running = chosen if verdict is RUNNING else None
         if verdict in DONE:
             self.reset_children()
         return verdict
 
     def _matches(self, case: str) -> bool:
         """Tell whether a case equals the variable, as a text or as the number it begins with."""
-        ports = self.ports
-        if not (ports.exists("variable") and ports.exists(case)):
-            return False
-        enums = ports.blackboard.root.enums
-        left, right = (str(enums.get(text, text)) for text in map(ports.get, ("variable", case)))
+        enums = self.ports.blackboard.root.enums
         for kind in (str, int, float):
             with suppress(NodeError):
-                if convert(left, kind) == convert(right, kind):
+                sides = [self.ports.get(name) for name in ("variable", case)]
+                left, right = [convert(str(enums.get(side, side)), kind) for side in sides]
+                if left == right:
                     return True
         return False
 
@@ -284,7 +279,6 @@ class TryCatch(Sequence, catch_on_halt=port(bool, False)):
     """
 
     CHILDREN = (2, inf)
-    FORGETS = (*Sequence.FORGETS, "_has_failed")
     _has_failed = False
 
     def decide(self) -> Ticking:
@@ -348,7 +342,6 @@ class KeepRunningUntilFailure(Translator):
 class Repeat(OneChild, num_cycles=port(int)):
     """Ticks the child a number of times (-1: for ever), in the same tick if it was RUNNING."""
 
-    FORGETS = ("_count",)
     once_more = SUCCESS
     _count = 0
 
@@ -380,11 +373,13 @@ class RetryUntilSuccessful(Repeat, num_attempts=port(int)):
 class Gate(OneChild, is_node=False):
     """Starts the child when the gate is open, and ticks it while it is RUNNING."""
 
-    FORGETS: ClassVar[tuple[str, ...]] = ("_last",)
     runs = False
     closed = SKIPPED
     _last: Status | None = None
     """The outcome of the child when it was ticked last."""
+
+    def initialise(self) -> None:
+        self.forget()
 
     def instead(self) -> Status | None:
         """Return the outcome if the child does not start now, None if it does: the first time."""
@@ -393,7 +388,12 @@ class Gate(OneChild, is_node=False):
     def decide(self) -> Ticking:
         verdict = None if self._last is RUNNING else self.instead()
         if verdict is None:
-            verdict = self._last = yield from super().decide()
+            self._last = yield from super().decide()
+            verdict = self.finish(self._last)
+        return verdict
+
+    def finish(self, verdict: Status) -> Status:
+        """Return the outcome after the child was ticked."""
         return verdict
 
 
@@ -403,11 +403,13 @@ class RunOnce(Gate, then_skip=port(bool, True)):
     After that it is skipped, or with then_skip="false" returns that outcome.
     """
 
-    FORGETS = ()
 
     @property
     def runs(self) -> bool:  # type: ignore[override]  # depends on the state here
         return self._last not in DONE
+
+    def forget(self) -> None:
+        """Remember that it has run."""
 
     def instead(self) -> Status | None:
         if self.runs:
@@ -421,11 +423,13 @@ class Precondition(Gate, **{"if": port(str), "else": port(Status, FAILURE)}):
     Once the child runs, `if` is not asked.
     """
 
-    FORGETS = ()
 
     def prepare(self, ports: Ports) -> None:
         super().prepare(ports)
         self._condition = parse_script(ports.get("if"), ports.blackboard)
+
+    def forget(self) -> None:
+        """Remember whether the child runs."""
 
     def instead(self) -> Status | None:
         verdict: Status = self.ports.get("else")  # a wrong outcome raises in the first tick
@@ -451,23 +455,22 @@ class Loop(Gate, is_node=False):
     Returns `if_empty` in the tick after the last.
     """
 
-    def initialise(self) -> None:
-        queue = self.ports.get("queue")
-        if isinstance(queue, str):
-            queue = convert(queue, GenericAlias(list, self.PORTS["value"].data_type))
-        self._left = list(queue)
+    _left: list[object] | None = None
 
     def instead(self) -> Status | None:
+        if self._left is None:
+            queue = self.ports.get("queue")
+            if isinstance(queue, str):
+                queue = convert(queue, GenericAlias(list, self.PORTS["value"].data_type))
+            self._left = list(queue)
         if self._left:
             self.ports.set("value", self._left.pop(0))
             return None
         outcome: Status = self.ports.get("if_empty")
         return outcome
 
-    def decide(self) -> Ticking:
-        is_over = not self._left and self._last is not RUNNING
-        verdict = yield from super().decide()
-        return verdict if is_over or verdict is FAILURE else RUNNING
+    def finish(self, verdict: Status) -> Status:
+        return FAILURE if verdict is FAILURE else RUNNING
 
 
 for _name, _kind in {"Int": int, "Double": float, "Bool": bool, "String": str}.items():
@@ -482,7 +485,6 @@ for _name, _kind in {"Int": int, "Double": float, "Bool": bool, "String": str}.i
 class Timed(OneChild, is_node=False):
     """A decorator with a duration, its only port, which counts from the tick in which it starts."""
 
-    FORGETS: ClassVar[tuple[str, ...]] = ("_since",)
     _since: float | None = None
 
     def prepare(self, ports: Ports) -> None:
@@ -492,7 +494,7 @@ class Timed(OneChild, is_node=False):
 
     def is_over(self) -> bool:
         """Start the time if it is not started, and tell whether it is over."""
-        now = self.ports.blackboard.root.clock()
+        now = self.now()
         if self._since is None:
             self._since = now
         return bool(now - self._since >= self.ports.get(*self.PORTS) / 1000 - ROUNDING_S)
@@ -514,7 +516,6 @@ class Delay(Timed, delay_msec=port(int)):
 class Timeout(Timed, msec=port(int)):
     """Halts the child, and fails, if it is RUNNING after `msec` [ms]; 0 is no limit."""
 
-    FORGETS = ("_since", "_is_spent")
     _is_spent = False
 
     def decide(self) -> Ticking:
@@ -532,17 +533,13 @@ class RateController(Gate, hz=port(float, 10.0)):
     closed = RUNNING
     _since = 0.0
 
-    def initialise(self) -> None:
-        self.forget()
-
     def instead(self) -> Status | None:
-        elapsed = self.ports.blackboard.root.clock() - self._since
+        elapsed = self.now() - self._since
         return None if elapsed * self.ports.get("hz") >= 1 - ROUNDING_S else super().instead()
 
-    def decide(self) -> Ticking:
-        verdict = yield from super().decide()
+    def finish(self, verdict: Status) -> Status:
         if verdict is SUCCESS:
-            self._since = self.ports.blackboard.root.clock()
+            self._since = self.now()
         return verdict
 
 
@@ -550,9 +547,6 @@ class SingleTrigger(Gate):
     """Ticks the child to its end, once until this node is reset; FAILURE after that."""
 
     runs = True
-
-    def initialise(self) -> None:
-        self.forget()
 
     def instead(self) -> Status | None:
         return FAILURE if self._last in DONE else None
@@ -565,9 +559,6 @@ class GoalUpdatedController(Gate):
     runs = True
     closed = RUNNING
     _before: object = None
-
-    def initialise(self) -> None:
-        self.forget()
 
     def decide(self) -> Ticking:
         board = self.ports.blackboard
@@ -582,7 +573,6 @@ class RecoveryNode(Control, number_of_retries=port(int, 1)):
     """Ticks the first child; when it fails, the second, then the first again, some times."""
 
     CHILDREN = (2, 2)
-    FORGETS = ("_retries", "_is_recovering")
     _retries = 0
     _is_recovering = False
 
@@ -615,7 +605,6 @@ class RoundRobin(Control, wrap_around=port(bool, False)):
     success.
     """
 
-    FORGETS = ("_next", "_failed")
     _next = 0
     _failed = 0
 
@@ -687,9 +676,11 @@ class PauseResumeController(
     """
 
     CHILDREN = (1, 4)
-    FORGETS = ("_state", "_next")
     _state = 0  # place of the child that is ticked: 0 resumed, 1 paused, 2 on pause, 3 on resume
     _next: int | None = None
+
+    def initialise(self) -> None:
+        self.forget()
 
     def pause(self) -> None:
         """Pause from the next tick on, unless it is paused."""
@@ -698,9 +689,6 @@ class PauseResumeController(
     def resume(self) -> None:
         """Go on from the next tick on, if it is paused."""
         self._next = 3 if self._state == 1 else None
-
-    def initialise(self) -> None:
-        self.forget()
 
     def decide(self) -> Ticking:
         if self._next is not None:

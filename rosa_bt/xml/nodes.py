@@ -119,13 +119,15 @@ class Named(Behaviour):
         """Take the ports; raise if a literal is wrong. Called when the node is made."""
         self.ports = ports
 
+    def now(self) -> float:
+        """Return the time by the clock of the whole tree [s]."""
+        return self.ports.blackboard.root.clock()
+
 
 class XmlNode(Named, is_node=False):
     """A node with children: made of a name and the places of its children."""
 
     CHILDREN = (1, inf)
-    FORGETS: ClassVar[tuple[str, ...]] = ()
-    """Names of attributes that return to the value in the class when the node ends or is halted."""
     runs = True
     """Whether a tick makes it RUNNING first, so that it has to be reset even if it was skipped."""
 
@@ -147,8 +149,10 @@ class XmlNode(Named, is_node=False):
         raise NotImplementedError
 
     def forget(self) -> None:
-        for name in self.FORGETS:
-            vars(self).pop(name, None)
+        """Return attributes that begin with an underscore to the values in the class."""
+        for name in list(vars(self)):
+            if name.startswith("_") and hasattr(type(self), name):
+                delattr(self, name)
 
     def tick(self) -> Iterator[Behaviour]:
         for slot in self.slots:
@@ -302,9 +306,8 @@ class Sleep(Named, msec=port(int)):
     """RUNNING for `msec` [ms], then SUCCESS."""
 
     def initialise(self) -> None:
-        self._since = self.ports.blackboard.root.clock()
+        self._since = self.now()
 
     def update(self) -> Status:
-        elapsed = self.ports.blackboard.root.clock() - self._since
-        is_over = elapsed >= self.ports.get("msec") / 1000 - ROUNDING_S
+        is_over = self.now() - self._since >= self.ports.get("msec") / 1000 - ROUNDING_S
         return SUCCESS if is_over else RUNNING

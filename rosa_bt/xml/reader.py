@@ -1,6 +1,7 @@
 """Makes behaviours of the elements of a file."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -73,7 +74,11 @@ def load_xml(
     for name, element in document.trees.items():
         if name in NODES or name in registry.entries or name == "SubTree":
             raise element.error(f"{name!r} is the name of a node; rename the tree")
-    board = Blackboard(clock, enums=enums)
+    board = Blackboard()
+    board.enums = enums or {}
+    if clock is not None:
+        board.clock = clock
+        board.has_own_clock = True
     return _Builder(document, registry).tree(document.main(tree), document.root, None, board)
 
 
@@ -121,7 +126,6 @@ class _Builder:
         kind = NODES[tag]
         node = kind(name, slots) if slots else kind(name)  # type: ignore[call-arg]  # of an XmlNode
         ports = Ports(node.PORTS, element.ports, board)
-        ports.check_required()
         node.prepare(ports)
         return Slot(node, is_plain(node))
 
@@ -135,15 +139,11 @@ class _Builder:
         """Make a behaviour of the user; raise if an attribute is unknown, missing, or wrong."""
         arguments = entry.arguments
         written = element.ports
-        literals = dict[str, str]()
-        for name, argument in arguments.items():
-            text = written.get(name)
-            if text is not None and key_of(text, name) is None:
-                literals[name] = text
-            elif argument.required:
-                advice = f"write {name}=... with a value, hand it to BehaviourRegistry"
-                problem = f"{name!r} is needed when the tree is made"
-                raise NodeError(f"{problem}; {advice}, or declare a port in INPUT_PORTS")
+        literals = {
+            name: text
+            for name, text in written.items()
+            if name in arguments and key_of(text, name) is None
+        }
         constants = Ports(arguments, literals, board)
         offered = {
             "name": element.get("name") or element.node,
@@ -152,8 +152,7 @@ class _Builder:
             **dict(zip(entry.child_parameters, branches, strict=False)),
         }
         behaviour = entry.make(offered, {name: constants.get(name) for name in literals})
-        inputs, outputs = ports_of(behaviour)
-        declared = {**inputs, **outputs}
+        declared = ports_of(behaviour)
         ports = Ports({**arguments, **declared}, written, board)
         late = [name for name in ports.keys if name not in declared]
         for name in late:
@@ -164,7 +163,6 @@ class _Builder:
         if late:
             _read_at_start(behaviour, ports, late)
         if isinstance(behaviour, PortsMixin):
-            ports.check_required({*outputs, *arguments})
             ports.connect(behaviour)
         if isinstance(behaviour, ActionBehaviour) and "action" not in ports.keys:
             name = behaviour.action
@@ -186,7 +184,7 @@ class _Builder:
         _check_children(element, 0, 0)
         autoremap = convert(element.get("_autoremap", "false"), bool)
         defaults = {} if autoremap else self._defaults(element, tree)
-        board = Blackboard(None, around, {**defaults, **element.ports}, autoremap=autoremap)
+        board = Blackboard(around, {**defaults, **element.ports}, autoremap=autoremap)
         return self.tree(tree, element, element.get("name"), board)
 
     def _defaults(self, element: Element, tree: str) -> dict[str, str]:
@@ -227,11 +225,15 @@ def _read_at_start(behaviour: Behaviour, ports: Ports, names: Iterable[str]) -> 
     vars(behaviour)["initialise"] = read_and_initialise
 
 
-def ports_of(behaviour: Behaviour) -> tuple[Declared, Declared]:
-    """Return the py_trees ports of a behaviour: inputs and outputs."""
-    if isinstance(behaviour, PortsMixin):
-        return behaviour.input_ports(), behaviour.output_ports()
-    return {}, {}
+def ports_of(behaviour: Behaviour) -> Declared:
+    """Return the py_trees ports of a behaviour; no output needs a key."""
+    if not isinstance(behaviour, PortsMixin):
+        return {}
+    outputs = behaviour.output_ports().items()
+    return {
+        **behaviour.input_ports(),
+        **{name: replace(port, required=False) for name, port in outputs},
+    }
 
 
 def _check_children(element: Element, least: float, most: float) -> None:

@@ -32,11 +32,7 @@ _EPSILON = 2.0**-23  # numbers that differ by less are equal; `<` and `>` are ex
 
 
 def _quotient(left: float, right: float) -> float:
-    if right:
-        return left / right
-    if left == 0 or math.isnan(left):
-        return math.nan
-    return math.copysign(math.inf, left) * math.copysign(1, right)
+    return left / right if right else left * math.copysign(math.inf, right)
 
 
 def _is_equal(left: Value, right: Value) -> bool:
@@ -58,10 +54,10 @@ _OPERATORS: Mapping[str, tuple[Callable[[Value], Any], Callable[[Any, Any], Any]
 _COMPARISONS: Mapping[str, Callable[[Value, Value], bool]] = {
     "==": _is_equal,
     "!=": lambda left, right: not _is_equal(left, right),
-    "<": lambda left, right: not left >= right,  # nan is both less and greater than any number
-    ">": lambda left, right: not left <= right,
-    "<=": lambda left, right: not left > right,
-    ">=": lambda left, right: not left < right,
+    "<": operator.lt,
+    ">": operator.gt,
+    "<=": operator.le,
+    ">=": operator.ge,
 }
 
 
@@ -131,8 +127,6 @@ class _Run:
             raise NodeError(f"the value that is assigned to {name!r} is empty")
         before = entry.value
         if sign not in (":=", "="):
-            if isinstance(before, str) != isinstance(value, str):
-                raise NodeError(f"{sign!r} does not work with {before!r} and {value!r}")
             value = _operate(sign[0], before, value)
         elif isinstance(value, str) and not isinstance(before, str):
             if before is not None and entry.declared is None:

@@ -110,9 +110,8 @@ def _source(
     if not is_known and (registry is not None or node.children or tag in NODES):
         return tag, {}, "it is not registered, and has no exact counterpart in BehaviorTree.CPP"
     problem = wrong_id(tag)
-    inputs, outputs = ports_of(node)
     attributes = {}
-    for name in {**registration.arguments, **inputs, **outputs}:
+    for name in {**registration.arguments, **ports_of(node)}:
         parameter = registration.parameters.get(name)
         try:
             value = getattr(node, name)
