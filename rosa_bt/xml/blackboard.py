@@ -34,10 +34,6 @@ BOOLS = {
     **dict.fromkeys(("1", "true", "TRUE", "True"), True),
     **dict.fromkeys(("0", "false", "FALSE", "False"), False),
 }
-_WORDS: Mapping[Any, Mapping[str, Value]] = {
-    bool: BOOLS,
-    Status: {**Status.__members__, "SKIPPED": Status.INVALID},
-}
 
 _ANY = (None, Any, object)
 
@@ -120,13 +116,13 @@ def _read(text: str, wanted: Any) -> Value:  # noqa: ANN401  # a type of values
         return text
     if text.startswith("json:"):
         return convert(json.loads(text[5:]), wanted)
-    if wanted in _WORDS:
-        return convert(_WORDS[wanted].get(text), wanted)
+    if wanted is Status and text == "SKIPPED":
+        return Status.INVALID
     if wanted is float:
         return begun(text)
     if wanted is int:
-        match = _WHOLE.match(text)
-        return int(match[0]) if match and -(2**31) <= int(match[0]) < 2**31 else whole(None)
+        number = int(_WHOLE.match(text)[0])  # type: ignore[index]  # if there is none, a TypeError
+        return convert(number if abs(number) < 2**31 else None, wanted)
     if get_origin(wanted) is list:
         parts = text.removesuffix(";").split(";") if text else []
         return [convert(part, get_args(wanted)[0]) for part in parts]

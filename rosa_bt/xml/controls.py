@@ -198,7 +198,7 @@ class IfThenElse(Control):
     tick.
     """
 
-    CHILDREN = (2, 3)
+    arity = (2, 3)
     asks_always = False
     _chosen = 0
 
@@ -266,7 +266,7 @@ class Switch(Control, is_node=False):
 for _count in range(3, 8):
     _names = ["variable", *(f"case_{number}" for number in range(1, _count))]
     _ports = {name: port(str, required=False) for name in _names}
-    type(f"Switch{_count - 1}", (Switch,), {"CHILDREN": (_count, _count)}, **_ports)
+    type(f"Switch{_count - 1}", (Switch,), {"arity": (_count, _count)}, **_ports)
 
 
 class TryCatch(Sequence, catch_on_halt=port(bool, False)):
@@ -278,7 +278,7 @@ class TryCatch(Sequence, catch_on_halt=port(bool, False)):
     has failed.
     """
 
-    CHILDREN = (2, inf)
+    arity = (2, inf)
     _has_failed = False
 
     def decide(self) -> Ticking:
@@ -572,7 +572,7 @@ class GoalUpdatedController(Gate):
 class RecoveryNode(Control, number_of_retries=port(int, 1)):
     """Ticks the first child; when it fails, the second, then the first again, some times."""
 
-    CHILDREN = (2, 2)
+    arity = (2, 2)
     _retries = 0
     _is_recovering = False
 
@@ -675,7 +675,7 @@ class PauseResumeController(
     Nav2 pauses and resumes it by two services; here, `pause` and `resume` are called.
     """
 
-    CHILDREN = (1, 4)
+    arity = (1, 4)
     _state = 0  # place of the child that is ticked: 0 resumed, 1 paused, 2 on pause, 3 on resume
     _next: int | None = None
 

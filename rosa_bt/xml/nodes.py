@@ -105,7 +105,7 @@ class Named(Behaviour):
 
     PORTS: ClassVar[Declared] = {}
     """The type of a port is None if it declares none for its entry."""
-    CHILDREN: ClassVar[tuple[float, float]] = (0, 0)
+    arity: ClassVar[tuple[float, float]] = (0, 0)
     """Least and greatest number of children."""
     ports: Ports
 
@@ -127,7 +127,7 @@ class Named(Behaviour):
 class XmlNode(Named, is_node=False):
     """A node with children: made of a name and the places of its children."""
 
-    CHILDREN = (1, inf)
+    arity = (1, inf)
     runs = True
     """Whether a tick makes it RUNNING first, so that it has to be reset even if it was skipped."""
 
@@ -195,7 +195,7 @@ class Control(XmlNode, Composite, is_node=False):
 class OneChild(XmlNode, Decorator, is_node=False):
     """A node with one child, which becomes idle when it has finished."""
 
-    CHILDREN = (1, 1)
+    arity = (1, 1)
 
     @property
     def child(self) -> Slot:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 
 from py_trees.behaviour import Behaviour
@@ -72,7 +71,7 @@ def load_xml(
     sources = [text_or_path] if isinstance(text_or_path, str | Path) else text_or_path
     document = Document(sources)
     for name, element in document.trees.items():
-        if name in NODES or name in registry.entries or name == "SubTree":
+        if name in NODES or name in registry.entries:
             raise element.error(f"{name!r} is the name of a node; rename the tree")
     board = Blackboard()
     board.enums = enums or {}
@@ -98,42 +97,39 @@ class _Builder:
 
     def _slot(self, element: Element, board: Blackboard) -> Slot:
         try:
-            slot = self._made(element, board)
-            rules = [name for name in RULES if name in element.attrib]
-            slot.rules = {name: parse_script(element.attrib[name], board) for name in rules}
+            node = self._node(element, board)
+            codes = [(rule, element.get(rule)) for rule in RULES]
+            rules = {rule: parse_script(code, board) for rule, code in codes if code is not None}
         except XmlError:
             raise
         except Exception as error:  # constructors of the user may raise anything
             problem = str(error) if isinstance(error, RosaBtError) else in_words(error)
             raise element.error(f"<{element.node}> cannot be made: {problem}") from error
-        slot.source = (element.tag, element.attrib)
-        return slot
+        is_condition = self._is_condition(element, node)
+        return Slot(node, is_condition, (element.tag, element.attrib), rules)
 
-    def _made(self, element: Element, board: Blackboard) -> Slot:
+    def _node(self, element: Element, board: Blackboard) -> Behaviour:
         tag = element.node
-        name = element.get("name") or tag
-        entry = self._registry.entries.get(tag)
         if tag == "SubTree":
-            return Slot(self._subtree(element, board))
-        if entry is None and tag not in NODES:
+            return self._subtree(element, board)
+        entry = self._registry.entries.get(tag) or NODES.get(tag)
+        if entry is None:
             raise element.error(self._unknown(tag))
-        _check_children(element, *(entry.children if entry else NODES[tag].CHILDREN))
+        _check_children(element, *entry.arity)
+        name = element.get("name") or tag
         slots = [self._slot(child, board) for child in element.children]
-        if entry is not None:
-            branches = [Branch(slot.node.name, [slot]) for slot in slots]
-            leaf = self._leaf(element, entry, branches, board)
-            return Slot(leaf, not slots and self._is_condition(element, entry, leaf))
-        kind = NODES[tag]
-        node = kind(name, slots) if slots else kind(name)  # type: ignore[call-arg]  # of an XmlNode
-        ports = Ports(node.PORTS, element.ports, board)
-        node.prepare(ports)
-        return Slot(node, is_plain(node))
+        if isinstance(entry, Registration):
+            return self._leaf(element, name, entry, slots, board)
+        node = entry(name, slots) if slots else entry(name)  # type: ignore[call-arg]  # of an XmlNode
+        node.prepare(Ports(node.PORTS, element.ports, board))
+        return node
 
     def _leaf(
         self,
         element: Element,
+        name: str,
         entry: Registration,
-        branches: Sequence[Branch],
+        slots: Sequence[Slot],
         board: Blackboard,
     ) -> Behaviour:
         """Make a behaviour of the user; raise if an attribute is unknown, missing, or wrong."""
@@ -145,13 +141,10 @@ class _Builder:
             if name in arguments and key_of(text, name) is None
         }
         constants = Ports(arguments, literals, board)
-        offered = {
-            "name": element.get("name") or element.node,
-            "children": branches,
-            "blackboard": board,
-            **dict(zip(entry.child_parameters, branches, strict=False)),
-        }
-        behaviour = entry.make(offered, {name: constants.get(name) for name in literals})
+        branches = [Branch(slot.node.name, [slot]) for slot in slots]
+        roles = {"name": name, "children": branches, "blackboard": board}
+        roles.update(zip(entry.child_parameters, branches, strict=False))
+        behaviour = entry.make(roles, {name: constants.get(name) for name in literals})
         declared = ports_of(behaviour)
         ports = Ports({**arguments, **declared}, written, board)
         late = [name for name in ports.keys if name not in declared]
@@ -172,12 +165,13 @@ class _Builder:
                 raise NodeError(f"{problem}; leave action=... out")
         return behaviour
 
-    def _is_condition(self, element: Element, entry: Registration, leaf: Behaviour) -> bool:
+    def _is_condition(self, element: Element, node: Behaviour) -> bool:
+        entry = self._registry.entries.get(element.node)
         model = self._document.models.get(element.node, element)
-        for kind in (entry.kind, element.tag.lower(), model.tag.lower()):
+        for kind in (entry.kind, element.tag.lower(), model.tag.lower()) if entry else ():
             if kind in ("action", "condition"):
                 return kind == "condition"
-        return is_plain(leaf)
+        return is_plain(node)
 
     def _subtree(self, element: Element, around: Blackboard) -> SubTree:
         tree = element.needed("ID")
@@ -192,13 +186,9 @@ class _Builder:
         model = self._document.models.get(tree, element)
         defaults = {}
         for port in model.children:
-            if port.tag.endswith("_port"):  # editors write other elements, too
-                name = port.needed("name")
-                if default := port.get("default"):
-                    defaults[name] = default
-                elif name not in element.ports:
-                    says = f"its model ({port.where}) says"
-                    raise element.error(f"the tree {tree!r} needs {name}=..., {says}")
+            name = port.get("name", "")
+            if port.tag.endswith("_port") and name not in element.ports:
+                defaults[name] = port.needed("default")
         return defaults
 
     def _unknown(self, tag: str) -> str:
@@ -206,10 +196,7 @@ class _Builder:
             return f'<{tag}> is of version 3; write BTCPP_format="3", or its name in version 4'
         if tag in self._document.trees:
             return f'<{tag}> is a tree; write <SubTree ID="{tag}"/>'
-        near = get_close_matches(tag, [*NODES, "SubTree"], 1)
-        guess = f"did you mean the node {near[0]!r}? " if near else ""
-        known = hint(tag, self._registry.entries, "registered behaviours")
-        return f"<{tag}> is unknown; {guess}{known}"
+        return f"<{tag}> is unknown; {hint(tag, [*self._registry.entries, *NODES], 'nodes')}"
 
 
 def _read_at_start(behaviour: Behaviour, ports: Ports, names: Iterable[str]) -> None:
@@ -237,10 +224,7 @@ def ports_of(behaviour: Behaviour) -> Declared:
 
 
 def _check_children(element: Element, least: float, most: float) -> None:
-    tags = [child.node for child in element.children]
-    if element.node == "ReactiveSequence" and tags.count("AsyncSequence") > 1:
-        problem = "a ReactiveSequence has at most one asynchronous child; use Sequence in it"
-        raise element.error(problem)
-    if not least <= len(tags) <= most:
+    count = len(element)
+    if not least <= count <= most:
         numbers = str(least) if least == most else f"{least} to {most}"
-        raise element.error(f"children of <{element.node}>: {len(tags)}; it takes {numbers}")
+        raise element.error(f"children of <{element.node}>: {count}; it takes {numbers}")

@@ -58,7 +58,7 @@ class Registration:
         ]
 
     @property
-    def children(self) -> tuple[float, float]:
+    def arity(self) -> tuple[float, float]:
         """The least and the greatest number of children that it takes."""
         count = len(self.child_parameters)
         return (1, inf) if "children" in self.parameters else (count, count)
@@ -76,14 +76,13 @@ class Registration:
                 arguments[name] = PortInformation(data_type, is_required)
         return arguments
 
-    def make(self, offered: Mapping[str, Any], arguments: Mapping[str, Any]) -> Behaviour:
-        """Make the behaviour of its arguments, and of what is offered and has a parameter."""
-        parameters = set(self.parameters)
-        if any(parameter.kind == _VARIOUS[1] for parameter in self.parameters.values()):
-            parameters.add("name")
-        offered = {**self.bound, **offered}
-        taken = {key: offered[key] for key in offered.keys() & parameters}
-        return self.factory(**taken, **arguments)
+    def make(self, roles: Mapping[str, Any], arguments: Mapping[str, Any]) -> Behaviour:
+        """Make the behaviour of its arguments, and of the bound ones and roles that it takes."""
+        names = set(self.parameters)
+        if "kwargs" in names:
+            names.add("name")
+        offered = {**self.bound, **roles}
+        return self.factory(**{key: offered[key] for key in offered.keys() & names}, **arguments)
 
 
 class BehaviourRegistry:

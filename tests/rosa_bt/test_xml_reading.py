@@ -29,8 +29,8 @@ def root(*content, main=""):
 
 
 REFUSED = {
-    "<aa/>": "<aa> is unknown; did you mean 'a'? registered behaviours: DoUntilUnfeasible",
-    "<Sequense><a/></Sequense>": "did you mean the node 'Sequence'",
+    "<aa/>": "<aa> is unknown; did you mean 'a'? nodes: AlwaysFailure",
+    "<Sequense><a/></Sequense>": "did you mean 'Sequence' or",
     "<Other/>": '<Other> is a tree; write <SubTree ID="Other"/>',
     "<SubTreePlus ID='Other'/>": '<SubTreePlus> is of version 3; write BTCPP_format="3"',
     "<a/><b/>": "a tree has one child, not 2; put a Sequence around",
@@ -77,7 +77,7 @@ NO_FILES = {
         tree("B"),
         f"<TreeNodesModel>{NEEDS}</TreeNodesModel>",
         main="A",
-    ): "the tree 'B' needs p=...",
+    ): "<input_port> has no default; write default=... in it",
     root("<BehaviorTree><a/></BehaviorTree>" * 2): "<BehaviorTree> has no ID",
     root(tree("A"), "\n", tree("A")): "<text>:2: 'A' is defined twice, first in <text>:1",
     root(tree("A"), tree("B")): "which tree? There are: A, B",
