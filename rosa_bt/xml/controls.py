@@ -10,11 +10,12 @@ from typing import ClassVar
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
+from py_trees.ports import PortInformation
 
 from rosa_bt.behaviours import Ticking
 from rosa_bt.requests import FAILURE, RUNNING, SUCCESS
 from rosa_bt.xml.blackboard import NodeError, Ports, convert, truth
-from rosa_bt.xml.nodes import DONE, ROUNDING_S, SKIPPED, Control, OneChild, Slot, port
+from rosa_bt.xml.nodes import DONE, ROUNDING_S, SKIPPED, Control, OneChild, Slot
 from rosa_bt.xml.scripts import parse_script
 
 
@@ -136,7 +137,7 @@ class PipelineSequence(ReactiveSequence):
         return is_late
 
 
-class Parallel(Control, success_count=port(int, -1), failure_count=port(int, 1)):
+class Parallel(Control, success_count=-1, failure_count=1):
     """Ends as soon as enough children have succeeded or failed.
 
     The others are halted, or no longer ticked.
@@ -179,7 +180,7 @@ class Parallel(Control, success_count=port(int, -1), failure_count=port(int, 1))
         return number if number >= 0 else max(count + number + 1, 0)
 
 
-class ParallelAll(Parallel, max_failures=port(int, 1)):
+class ParallelAll(Parallel, max_failures=1):
     """Ends when all children have finished: FAILURE if `max_failures` of them failed."""
 
     def judge(self, skipped: int, succeeded: int, failed: int, failures: int) -> Status | None:  # type: ignore[override]  # as many as PORTS
@@ -264,12 +265,11 @@ class Switch(Control, is_node=False):
 
 
 for _count in range(3, 8):
-    _names = ["variable", *(f"case_{number}" for number in range(1, _count))]
-    _ports = {name: port(str, required=False) for name in _names}
-    type(f"Switch{_count - 1}", (Switch,), {"arity": (_count, _count)}, **_ports)
+    _cases = dict.fromkeys((f"case_{number}" for number in range(1, _count)), "\0")
+    type(f"Switch{_count - 1}", (Switch,), {"arity": (_count, _count)}, variable="", **_cases)
 
 
-class TryCatch(Sequence, catch_on_halt=port(bool, False)):
+class TryCatch(Sequence, catch_on_halt=False):
     """A sequence of all but the last child.
 
     If one fails, the last child is ticked to its end: then FAILURE.
@@ -339,7 +339,7 @@ class KeepRunningUntilFailure(Translator):
     skipped = RUNNING
 
 
-class Repeat(OneChild, num_cycles=port(int)):
+class Repeat(OneChild, num_cycles=int):
     """Ticks the child a number of times (-1: for ever), in the same tick if it was RUNNING."""
 
     once_more = SUCCESS
@@ -364,7 +364,7 @@ class Repeat(OneChild, num_cycles=port(int)):
         return self.end(self.once_more)
 
 
-class RetryUntilSuccessful(Repeat, num_attempts=port(int)):
+class RetryUntilSuccessful(Repeat, num_attempts=int):
     """Ticks the child again after a failure."""
 
     once_more = FAILURE
@@ -397,12 +397,11 @@ class Gate(OneChild, is_node=False):
         return verdict
 
 
-class RunOnce(Gate, then_skip=port(bool, True)):
+class RunOnce(Gate, then_skip=True):
     """Ticks the child to its end, once.
 
     After that it is skipped, or with then_skip="false" returns that outcome.
     """
-
 
     @property
     def runs(self) -> bool:  # type: ignore[override]  # depends on the state here
@@ -417,12 +416,11 @@ class RunOnce(Gate, then_skip=port(bool, True)):
         return SKIPPED if self.ports.get("then_skip") else self._last
 
 
-class Precondition(Gate, **{"if": port(str), "else": port(Status, FAILURE)}):
+class Precondition(Gate, **{"if": str, "else": FAILURE}):
     """Ticks the child if the script `if` is true; else returns `else`.
 
     Once the child runs, `if` is not asked.
     """
-
 
     def prepare(self, ports: Ports) -> None:
         super().prepare(ports)
@@ -436,7 +434,7 @@ class Precondition(Gate, **{"if": port(str), "else": port(Status, FAILURE)}):
         return None if self._last is SKIPPED or truth(self._condition()) else verdict
 
 
-class SkipUnlessUpdated(Gate, entry=port(None)):
+class SkipUnlessUpdated(Gate, entry=None):
     """Ticks the child to its end each time that an entry was written; otherwise it is skipped."""
 
     def instead(self) -> Status | None:
@@ -473,13 +471,8 @@ class Loop(Gate, is_node=False):
         return FAILURE if verdict is FAILURE else RUNNING
 
 
-for _name, _kind in {"Int": int, "Double": float, "Bool": bool, "String": str}.items():
-    _ports = {
-        "queue": port(None),
-        "value": port(_kind, required=False),
-        "if_empty": port(Status, SUCCESS),
-    }
-    type(f"Loop{_name}", (Loop,), {}, **_ports)
+for _name, _zero in {"Int": 0, "Double": 0.0, "Bool": False, "String": ""}.items():
+    type(f"Loop{_name}", (Loop,), {}, queue=None, value=_zero, if_empty=SUCCESS)
 
 
 class Timed(OneChild, is_node=False):
@@ -506,14 +499,14 @@ class Timed(OneChild, is_node=False):
         return verdict
 
 
-class Delay(Timed, delay_msec=port(int)):
+class Delay(Timed, delay_msec=int):
     """Is RUNNING for `delay_msec` [ms]; then ticks the child."""
 
     def decide(self) -> Ticking:
         return (yield from super().decide()) if self.is_over() else RUNNING
 
 
-class Timeout(Timed, msec=port(int)):
+class Timeout(Timed, msec=int):
     """Halts the child, and fails, if it is RUNNING after `msec` [ms]; 0 is no limit."""
 
     _is_spent = False
@@ -526,7 +519,7 @@ class Timeout(Timed, msec=port(int)):
         return (yield from super().decide())
 
 
-class RateController(Gate, hz=port(float, 10.0)):
+class RateController(Gate, hz=10.0):
     """Ticks the child at the start, while it is RUNNING, and 1 / `hz` [s] after it succeeded."""
 
     runs = True
@@ -555,7 +548,7 @@ class SingleTrigger(Gate):
 class GoalUpdatedController(Gate):
     """Ticks the child at the start, while it is RUNNING, and when `goal` or `goals` has changed."""
 
-    PORTS: ClassVar = {name: port(None, required=False) for name in ("goal", "goals")}
+    PORTS: ClassVar = {name: PortInformation(None, required=False) for name in ("goal", "goals")}
     runs = True
     closed = RUNNING
     _before: object = None
@@ -569,7 +562,7 @@ class GoalUpdatedController(Gate):
         return (yield from super().decide())
 
 
-class RecoveryNode(Control, number_of_retries=port(int, 1)):
+class RecoveryNode(Control, number_of_retries=1):
     """Ticks the first child; when it fails, the second, then the first again, some times."""
 
     arity = (2, 2)
@@ -596,7 +589,7 @@ class RecoveryNode(Control, number_of_retries=port(int, 1)):
         return self.end(FAILURE)
 
 
-class RoundRobin(Control, wrap_around=port(bool, False)):
+class RoundRobin(Control, wrap_around=False):
     """Ticks the next child, until one succeeds or all failed.
 
     Without `wrap_around`, ends at the last.
@@ -646,7 +639,7 @@ class NonblockingSequence(Control):
         return RUNNING if is_open else self.end(SUCCESS)
 
 
-class PersistentSequence(Control, current_child_idx=port(int)):
+class PersistentSequence(Control, current_child_idx=int):
     """A sequence that keeps its place on the blackboard, also when it is halted."""
 
     def decide(self) -> Ticking:
@@ -665,8 +658,8 @@ class PersistentSequence(Control, current_child_idx=port(int)):
 
 class PauseResumeController(
     Control,
-    pause_service_name=port(str, required=False),
-    resume_service_name=port(str, required=False),
+    pause_service_name="",
+    resume_service_name="",
 ):
     """Ticks the first child; while paused, the second.
 

@@ -241,7 +241,9 @@ class Document:
         for element in root.children:
             if element.tag == "BehaviorTree":
                 if len(element) != 1:
-                    raise element.error(f"a tree has one child, not {len(element)}; put a Sequence around")
+                    raise element.error(
+                        f"a tree has one child, not {len(element)}; put a Sequence around"
+                    )
                 self._add(self.trees, element)
                 for node in element.descendants:
                     for change in _convert(node, names) if is_old else ():

@@ -92,12 +92,14 @@ class Slot:
         self.status = SKIPPED
 
 
-def port(data_type: Any, default: object = None, *, required: bool = True) -> PortInformation:  # noqa: ANN401  # a type of values
-    return PortInformation(data_type, required, "", default)
-
-
 NODES: dict[str, type["Named"]] = {}
 """The nodes of BehaviorTree.CPP and Nav2 by their tags, but for SubTree."""
+
+
+def _port(declared: object) -> PortInformation:
+    if declared is None or isinstance(declared, type):
+        return PortInformation(declared)
+    return PortInformation(type(declared), default_value=declared)
 
 
 class Named(Behaviour):
@@ -109,9 +111,10 @@ class Named(Behaviour):
     """Least and greatest number of children."""
     ports: Ports
 
-    def __init_subclass__(cls, *, is_node: bool = True, **ports: PortInformation) -> None:
+    def __init_subclass__(cls, *, is_node: bool = True, **ports: object) -> None:
+        """Declare ports: by a type, None for any, or by a default value of the type."""
         if ports:
-            cls.PORTS = ports
+            cls.PORTS = {name: _port(declared) for name, declared in ports.items()}
         if is_node:
             NODES[cls.__name__] = cls
 
@@ -235,7 +238,7 @@ class AlwaysFailure(AlwaysSuccess):
     outcome = FAILURE
 
 
-class Script(Named, code=port(str)):
+class Script(Named, code=str):
     """Runs a script; then SUCCESS."""
 
     def prepare(self, ports: Ports) -> None:
@@ -254,7 +257,7 @@ class ScriptCondition(Script):
         return SUCCESS if truth(self.script()) else FAILURE
 
 
-class SetBlackboard(Named, value=port(None), output_key=port(None)):
+class SetBlackboard(Named, value=None, output_key=None):
     """Writes a text, as the declared type of the entry, or copies the value of another key.
 
     As in BehaviorTree.CPP, if no type is declared, the first text empties the entry, and the second
@@ -287,7 +290,7 @@ class SetBlackboard(Named, value=port(None), output_key=port(None)):
         return SUCCESS
 
 
-class UnsetBlackboard(Named, key=port(str)):
+class UnsetBlackboard(Named, key=str):
     """Removes a key from the blackboard of its own tree."""
 
     def update(self) -> Status:
@@ -295,14 +298,14 @@ class UnsetBlackboard(Named, key=port(str)):
         return SUCCESS
 
 
-class WasEntryUpdated(Named, entry=port(None)):
+class WasEntryUpdated(Named, entry=None):
     """SUCCESS if an entry was written since the last tick of this leaf, else FAILURE."""
 
     def update(self) -> Status:
         return SUCCESS if self.ports.is_updated("entry") else FAILURE
 
 
-class Sleep(Named, msec=port(int)):
+class Sleep(Named, msec=int):
     """RUNNING for `msec` [ms], then SUCCESS."""
 
     def initialise(self) -> None:
