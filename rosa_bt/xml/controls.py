@@ -151,19 +151,19 @@ class Parallel(Control, success_count=-1, failure_count=1):
         for slot in self.slots:
             if slot.status not in DONE:
                 skipped += (yield from slot.tick()) is SKIPPED
-            ended = [slot.status for slot in self.slots]
-            counts = (skipped, ended.count(SUCCESS), ended.count(FAILURE))
-            verdict = self.judge(*counts, *thresholds)
+            ended = [slot.status for slot in self.slots if slot.status in DONE]
+            verdict = self.judge(ended, skipped, *thresholds)
             if verdict is not None:
                 return self.end(verdict)
-        return SKIPPED if skipped == len(ended) else RUNNING
+        return SKIPPED if skipped == len(self.children) else RUNNING
 
     def judge(
-        self, skipped: int, succeeded: int, failed: int, successes: int, failures: int
+        self, ended: list[Status], skipped: int, successes: int, failures: int
     ) -> Status | None:
         """Return the outcome after a child was ticked, None if it is open."""
+        failed = ended.count(FAILURE)
         counted = skipped if self.ports.get("success_count") < 0 else 0
-        if succeeded + counted >= successes:
+        if ended.count(SUCCESS) + counted >= successes:
             return SUCCESS
         is_over = len(self.children) - failed < successes or failed == failures
         return FAILURE if is_over else None
@@ -183,11 +183,10 @@ class Parallel(Control, success_count=-1, failure_count=1):
 class ParallelAll(Parallel, max_failures=1):
     """Ends when all children have finished: FAILURE if `max_failures` of them failed."""
 
-    def judge(self, skipped: int, succeeded: int, failed: int, failures: int) -> Status | None:  # type: ignore[override]  # as many as PORTS
-        ended = succeeded + failed
-        if not ended or skipped + ended < len(self.children):
+    def judge(self, ended: list[Status], skipped: int, failures: int) -> Status | None:  # type: ignore[override]  # as many as PORTS
+        if not ended or skipped + len(ended) < len(self.children):
             return None
-        return FAILURE if failed >= failures else SUCCESS
+        return FAILURE if ended.count(FAILURE) >= failures else SUCCESS
 
 
 class IfThenElse(Control):
@@ -210,8 +209,6 @@ class IfThenElse(Control):
             if verdict is RUNNING:
                 return RUNNING
             if verdict is SKIPPED:
-                if self.asks_always:
-                    self.reset_children()
                 raise NodeError(
                     f"the condition of {self.name!r} was skipped: what is to be chosen?"
                 )
@@ -571,22 +568,23 @@ class RecoveryNode(Control, number_of_retries=1):
 
     def decide(self) -> Ticking:
         task, recovery = self.slots
-        allowed = self.ports.get("number_of_retries")
-        while self._retries <= allowed:
-            slot = recovery if self._is_recovering else task
-            verdict = yield from slot.tick()
+        while True:
+            if not self._is_recovering:
+                verdict = yield from task.tick()
+                if verdict is RUNNING:
+                    return RUNNING
+                if verdict is not FAILURE or self._retries == self.ports.get(*self.PORTS):
+                    return self.end(verdict)
+                task.reset()
+                self._is_recovering = True
+            verdict = yield from recovery.tick()
             if verdict is RUNNING:
                 return RUNNING
-            if slot is task and (verdict is not FAILURE or self._retries == allowed):
-                return self.end(verdict)
-            if slot is recovery and verdict is FAILURE:
+            if verdict is not SUCCESS:
                 return self.end(FAILURE)
-            self._is_recovering = slot is task
-            slot.reset()
-            if verdict is SKIPPED:
-                return FAILURE
-            self._retries += slot is recovery
-        return self.end(FAILURE)
+            recovery.reset()
+            self._is_recovering = False
+            self._retries += 1
 
 
 class RoundRobin(Control, wrap_around=False):
@@ -605,7 +603,7 @@ class RoundRobin(Control, wrap_around=False):
         slots = self.slots
         skipped = 0
         while self._failed + skipped < len(slots):
-            verdict = yield from slots[self._next % len(slots)].tick()
+            verdict = yield from slots[self._next].tick()
             if verdict is RUNNING:
                 return RUNNING
             self._next = (self._next + 1) % len(slots)

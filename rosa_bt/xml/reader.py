@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from py_trees.behaviour import Behaviour
 from py_trees.ports import PortsMixin
@@ -142,7 +143,7 @@ class _Builder:
         }
         constants = Ports(arguments, literals, board)
         branches = [Branch(slot.node.name, [slot]) for slot in slots]
-        roles = {"name": name, "children": branches, "blackboard": board}
+        roles: dict[str, Any] = {"name": name, "children": branches, "blackboard": board}
         roles.update(zip(entry.child_parameters, branches, strict=False))
         behaviour = entry.make(roles, {name: constants.get(name) for name in literals})
         declared = ports_of(behaviour)
