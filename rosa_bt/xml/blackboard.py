@@ -8,7 +8,7 @@ a bool. None is no value.
 import json
 import re
 import time
-from collections.abc import Callable, Container, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from contextlib import suppress
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -25,7 +25,6 @@ Value = Any
 Clock = Callable[[], float]
 """Gives the time [s]."""
 
-_EXACT = 2**53  # from here on, a double cannot hold every whole number
 _WHOLE = re.compile(r"-?\d+", re.ASCII)
 _NUMBER = re.compile(
     r"\s*[-+]?(?:0x[0-9a-f]+|inf|nan|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)", re.IGNORECASE | re.ASCII
@@ -49,8 +48,6 @@ def is_number(value: object) -> bool:
 def double(value: Value) -> float:
     if not is_number(value):
         raise NodeError(f"{value!r} is no number")
-    if isinstance(value, int) and abs(value) >= _EXACT:
-        raise NodeError(f"{value} is too large for a double to hold exactly")
     return float(value)
 
 

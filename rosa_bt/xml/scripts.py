@@ -117,7 +117,7 @@ class _Run:
     def assign(self, target: Any, sign: str, expression: Any) -> Value:  # noqa: ANN401  # a node of the grammar
         board = self._board
         name = str(target)
-        if getattr(target, "type", "") != "NAME" or name in ("true", "false"):
+        if getattr(target, "type", "") != "NAME":
             raise NodeError("the left side of an assignment has to be a name")
         if sign != ":=" and board.entry(name) is None:
             raise NodeError(f"there is no {name!r} on the blackboard; `{name} := ...` makes it")
@@ -161,8 +161,8 @@ class _Run:
 
     def prefixed(self, sign: str, operand: Any) -> float:  # noqa: ANN401  # a node of the grammar
         number = double(self.value(operand))
-        if sign == "~":  # of the whole part of a number
-            return double(~whole(math.trunc(number)))
+        if sign == "~":
+            return double(~whole(number))
         return -number if sign == "-" else float(not number)
 
     def _number(self, value: Value) -> float:

@@ -16,8 +16,7 @@ from rosa_bt.decorators import Delay, Timeout, Timer
 from rosa_bt.exceptions import ExportError, XmlError
 from rosa_bt.xml.document import Document, wrong_id
 from rosa_bt.xml.nodes import NODES, Branch, Slot, XmlNode, is_plain
-from rosa_bt.xml.reader import SubTree, ports_of
-from rosa_bt.xml.registry import BehaviourRegistry, Registration
+from rosa_bt.xml.reader import BehaviourRegistry, Registration, SubTree, ports_of
 
 _TAGS: Mapping[type[Behaviour], str] = {
     Inverter: "Inverter",
