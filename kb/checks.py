@@ -74,9 +74,7 @@ class Finding:
         return f"{self.place}: {self.message}" if self.place else self.message
 
     def __str__(self) -> str:
-        return " ".join(
-            f"{self.severity}: {self.where_and_what} [{self.code}]; {self.advice}".split()
-        )
+        return f"{self.severity}: {self.where_and_what} [{self.code}]; {self.advice}"
 
 
 @cache
@@ -120,9 +118,7 @@ def check_model(model: Owner, names: Iterable[str] | None = None) -> tuple[Findi
         *_contradictions(network),
         *_incomplete(network),
         *_unused(model, network),
-        *_out_of_range(model),
         *_doubtful_choices(model, network),
-        *_restored_twice(network),
         *(finding_of("file-note", f"model {model.name}", note) for note in model.notes),
     ]
     places = {_described(element): place for element, place in model.places.items()}
@@ -180,33 +176,6 @@ def _unused(model: Owner, network: Network) -> Iterator[Finding]:
         for node in table.values():
             if not node.used_by:
                 yield finding_of(f"unused-{node.kind}", node, f"{nobody} {node}")
-
-
-def _out_of_range(model: Owner) -> Iterator[Finding]:
-    """Yield the constraints that the range of their attribute decides for every measurement."""
-    for constraint in model.constraints:
-        attribute = model.attributes[constraint.attribute]
-        possible = Interval(attribute.low, attribute.high)
-        satisfied = Interval.of(constraint)
-        is_never = satisfied.meet(possible).is_empty
-        if possible != Interval() and (is_never or satisfied.covers(possible)):
-            how = "is never satisfied" if is_never else "is never violated"
-            where = listing(element.name for element in constraint.constrained)
-            what = _described(constraint)
-            message = f"{what} {how}: {attribute.name} is {attribute.range} (on {where})"
-            yield finding_of("out-of-range", what, message)
-
-
-def _restored_twice(network: Network) -> Iterator[Finding]:
-    restoring: dict[Element, list[str]] = {}
-    for node in network.actions.values():
-        for element in node.element.restores:
-            restoring.setdefault(element, []).append(node.name)
-    for element, actions in restoring.items():
-        if len(actions) > 1:
-            what = _described(element)
-            message = f"{what} is restored by actions {listing(actions)}"
-            yield finding_of("restored-twice", what, message)
 
 
 # ---------------------------------------------------------------- what is never possible

@@ -9,10 +9,10 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation, PortsMixin
 
-from kb import InvalidValue, KnowledgeBase
-from kb.elements import meant_by
-from kb.status import OPERATORS, STATUSES
-from kb.views import ActionView, ComponentView, ConfigurationView, DesignView, FunctionView
+from kb import KnowledgeBase
+from kb.elements import meant_by, status_of
+from kb.status import OPERATORS
+from kb.views import ElementView
 from rosa_bt.exceptions import report
 from rosa_bt.requests import (
     FAILURE,
@@ -26,8 +26,6 @@ from rosa_bt.requests import (
 
 Ticking = Generator[Behaviour, None, Status]
 """Yields the nodes that are visited, as `tick` of py_trees does, and returns the outcome."""
-StatusView = ActionView | FunctionView | ComponentView | DesignView | ConfigurationView
-"""A view of an element that has a name and a status."""
 
 
 def halt(root: Behaviour) -> None:
@@ -171,11 +169,11 @@ class HasStatus(KbBehaviour):
     """
 
     def __init__(
-        self, name: str, kb: KnowledgeBase, element: str | StatusView, status: str
+        self, name: str, kb: KnowledgeBase, element: str | ElementView, status: str
     ) -> None:
         super().__init__(name, kb)
         if isinstance(element, str):
-            tables: dict[str, Mapping[str, StatusView]] = {
+            tables: dict[str, Mapping[str, ElementView]] = {
                 "action": kb.actions,
                 "function": kb.functions,
                 "component": kb.components,
@@ -183,12 +181,8 @@ class HasStatus(KbBehaviour):
                 "configuration": kb.configurations,
             }
             element = meant_by(element, tables, "element", "pass the view meant, e.g. kb.")
-        kind = element.node.kind
-        if status not in STATUSES[kind]:
-            possible = ", ".join(repr(str(status)) for status in STATUSES[kind])
-            raise InvalidValue(f"{kind} {element.name!r} is never {status!r}; it can be {possible}")
         self.element = element
-        self.wanted = status
+        self.wanted = status_of(element.node.kind, status)
 
     def update(self) -> Status:
         status = self.element.status
@@ -232,11 +226,9 @@ class Measurement(KbBehaviour):
     def update(self) -> Status:
         name = self.attribute.name
         measured = self.attribute.value
-        if measured is None:
-            self.feedback_message = f"{name} is not measured"
-            return self._unknown
-        if self.attribute.is_stale:
-            self.feedback_message = f"{name} is not measured any more"
+        if measured is None or self.attribute.is_stale:
+            when = "yet" if measured is None else "any more"
+            self.feedback_message = f"{name} is not measured {when}"
             return self._unknown
         holds = OPERATORS[self.operator](measured, self.value)
         violation = f"{name} {measured:.6g} is not {self.operator} {self.value:.6g}"

@@ -223,8 +223,8 @@ class ActionRequest:
             owner = request.owner
             is_leaving = request.is_halting or self._displaces(request)
             if is_leaving and (request is self or self._excludes(request, action)):
-                detail = f": {owner.feedback_message}" if owner.feedback_message else ""
-                return f"waiting until {owner.name} has halted{detail}"
+                waiting = f"waiting until {owner.name} has halted: {owner.feedback_message}"
+                return waiting.removesuffix(": ")
         return ""
 
     def _excludes(self, other: "ActionRequest", action: str) -> bool:
@@ -266,8 +266,8 @@ class ActionRequest:
         if is_over:
             self.end_halting("")
         elif self._kb.now - self._halting_since >= owner.halting_timeout - 1e-9:
-            detail = f": {owner.feedback_message}" if owner.feedback_message else ""
-            reason = f"{owner.name} did not halt within {owner.halting_timeout:g} s{detail}"
+            late = f"{owner.name} did not halt within {owner.halting_timeout:g} s"
+            reason = f"{late}: {owner.feedback_message}".removesuffix(": ")
             _log.error("%s", reason)
             self.end_halting(reason)
 

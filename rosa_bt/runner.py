@@ -6,7 +6,7 @@ from html import escape
 from typing import Any, Literal
 
 from py_trees.behaviour import Behaviour
-from py_trees.common import Duration, Status
+from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
 from py_trees.trees import BehaviourTree
 from py_trees.visitors import VisitorBase
@@ -19,13 +19,9 @@ from rosa_bt.exceptions import ClockError, errors_of, report
 from rosa_bt.requests import SUCCESS, advance_halting, end_halting, forget_progress, requests_of
 
 _log = logging.getLogger(__name__)
+_ON_ERROR = ("fail", "raise")
+_ON_CLOCK_SET_BACK = ("follow", "refuse")
 Handler = Callable[[BehaviourTree], None]
-
-
-def _check_choice(argument: str, value: str, choices: tuple[str, ...]) -> None:
-    """Raise a ValueError unless a value is one of the choices."""
-    if value not in choices:
-        raise ValueError(f"{argument} is {' or '.join(map(repr, choices))}, not {value!r}")
 
 
 class TreeRunner(BehaviourTree):
@@ -66,10 +62,9 @@ class TreeRunner(BehaviourTree):
     ) -> None:
         if not period > 0:
             raise ValueError(f"the period of a tree is more than 0 s, not {period!r}")
-        if not callable(clock):
-            raise TypeError(f"clock is a function that returns the time [s], not {clock!r}")
-        _check_choice("on_error", on_error, ("fail", "raise"))
-        _check_choice("on_clock_set_back", on_clock_set_back, ("follow", "refuse"))
+        for choice, choices in ((on_error, _ON_ERROR), (on_clock_set_back, _ON_CLOCK_SET_BACK)):
+            if choice not in choices:
+                raise ValueError(f"{choice!r} is none of {', '.join(choices)}")
         super().__init__(root)
         self.errors = errors_of(root)
         self._clock = clock
@@ -112,19 +107,14 @@ class TreeRunner(BehaviourTree):
         """Whether an interrupted action of the tree's knowledge bases still halts."""
         return any(requests_of(kb).halting for kb in self._bases)
 
-    def setup(
-        self,
-        timeout: float | Duration = Duration.INFINITE,
-        visitor: VisitorBase | None = None,
-        **kwargs: Any,  # noqa: ANN401  # as py_trees has it
-    ) -> None:
-        """Call `setup(**kwargs)` of each behaviour.
+    def setup(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401  # as py_trees has it
+        """Call `setup(**kwargs)` of each behaviour, as py_trees does.
 
         Behaviours that are inserted later are set up with the same arguments before they are
         ticked.
         """
         self._take_all()
-        super().setup(timeout, visitor, **kwargs)
+        super().setup(*args, **kwargs)
         self._setup_arguments = kwargs
 
     def update(self) -> bool:

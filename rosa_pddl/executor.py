@@ -5,6 +5,7 @@ planner's answer, starts steps and decides whether to ask for a plan: see `PlanE
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from inspect import signature
 from typing import Any
 
 from py_trees.behaviour import Behaviour
@@ -217,6 +218,12 @@ class PlanExecutor(Behaviour):
             raise SensingError(f"{message}, such as lambda: {{'(lit room)': True}}")
         self._findings = domain.check(kb)
         check_behaviours(domain, behaviours)
+        for schema, factory in behaviours.items():
+            try:
+                signature(factory).bind("step")
+            except TypeError:
+                message = f"what makes {schema!r} takes {signature(factory)}"
+                raise MissingBehaviourError(f"{message}, expected one argument: the step") from None
         self.goals = Goals(domain)
         self._domain = domain
         self._factories = dict(behaviours)
@@ -266,7 +273,7 @@ class PlanExecutor(Behaviour):
 
     def objects(self, type_name: str) -> tuple[str, ...]:
         """The objects of a type and of its subtypes, in the order of files and appearance."""
-        return self._domain.objects_of(self._domain.spelling("type", type_name, type_name))
+        return self._domain.objects_of(self._domain.spelling("type", type_name))
 
     def add_object(self, name: str, type_name: str) -> None:
         """Add an object that has appeared; call it between ticks. Raises as `with_object`."""
@@ -277,7 +284,7 @@ class PlanExecutor(Behaviour):
 
         Raises UnknownNameError if it cannot be removed.
         """
-        spelled = self._domain.spelling("object", name, name)
+        spelled = self._domain.spelling("object", name)
         domain = without_object(self._domain, name)
         self._release([each for each in self._running if spelled in each.step.arguments])
         self._use(domain)
@@ -488,7 +495,7 @@ class PlanExecutor(Behaviour):
                 self._request_plan("the state changed", self._cause)
             else:
                 self._request_plan("start")
-        asked = replanning.ask_if_allowed(planned_from, self._shares_left())
+        asked = replanning.ask_if_allowed(planned_from)
         if asked is not None:
             self._ended_meanwhile.clear()
             self.feedback_message = asked

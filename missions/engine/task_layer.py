@@ -103,8 +103,7 @@ def build_task(
         return TaskLayer(built(f"the tree of mission {mission.name}", Behaviour, build))  # type: ignore[type-abstract]  # only for isinstance
     settings = settings or RunSettings()
     domain = mission_domain(mission)
-    engine, *fallback = mission.engines or (None,)
-    planner = Planner(engine, fallback=[name for name in fallback if name])
+    planner = Planner(mission.engine)
     missing = planner.missing()
     if missing is not None:
         raise MissionError(missing)

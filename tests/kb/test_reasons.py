@@ -115,10 +115,6 @@ def test_a_status_lapses_also_while_nobody_is_there(lives, reopened):
     assert (kb.configurations["night"].status is Status.UNFEASIBLE) == (reopened < 312.0)
     lives.clock.now = 500.0
     assert kb.configurations["night"].status is Status.FEASIBLE
-    asserted = "?s a :AssertedStatus ; :reason ?why ; :until ?until ; :start ?start ; :end ?end"
-    assert kb.query(f"SELECT ?why ?until ?start ?end {{ {asserted} }}") == [
-        ("it failed", 312.0, 300.0, 312.0)
-    ]
 
 
 # failures

@@ -93,7 +93,6 @@ def test_parameter_is_read_as_its_type_says(load, value, label, expected):
         ("'a\"b'", 'a"b'),
         (r"'a\'b'", "a'b"),
         (r"'a\\n'", "a\\n"),
-        ("'two\nlines'", "two\nlines"),
         ("'# none'", "# none"),
     ],
 )

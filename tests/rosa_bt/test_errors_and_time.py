@@ -214,14 +214,13 @@ def test_setup_reaches_a_behaviour_inserted_later():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"clock": 0.0}, "clock is a function that returns the time"),
-        ({"clock": float, "on_error": "rais"}, "on_error is 'fail' or 'raise', not 'rais'"),
-        ({"clock": float, "on_clock_set_back": "go"}, "on_clock_set_back is 'follow' or 'refuse'"),
+        ({"clock": float, "on_error": "rais"}, "'rais' is none of fail, raise"),
+        ({"clock": float, "on_clock_set_back": "go"}, "'go' is none of follow, refuse"),
         ({"clock": float, "period": 0.0}, "the period of a tree is more than 0 s"),
     ],
 )
 def test_runner_with_a_wrong_argument_is_refused(arguments, message):
-    with pytest.raises((TypeError, ValueError), match=message):
+    with pytest.raises(ValueError, match=message):
         TreeRunner(Running("rest"), **arguments)
 
 

@@ -29,7 +29,7 @@ def root(*content, main=""):
 
 
 REFUSED = {
-    "<aa/>": "<aa> is unknown; did you mean 'a'? nodes: AlwaysFailure",
+    "<aa/>": "<aa> is unknown; did you mean 'a'?",
     "<Sequense><a/></Sequense>": "did you mean 'Sequence' or",
     "<Other/>": '<Other> is a tree; write <SubTree ID="Other"/>',
     "<SubTreePlus ID='Other'/>": '<SubTreePlus> is of version 3; write BTCPP_format="3"',
