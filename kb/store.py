@@ -28,7 +28,6 @@ from kb.network import Network, Node
 from kb.records import (
     Attempt,
     Log,
-    Process,
     ReconfigurationPlan,
     RequiredAction,
     VetoAnswer,
@@ -388,7 +387,7 @@ _CLASSES: Final = {
     cls.__name__: cls
     for cls in (
         *(Status, Debounced, Reason),
-        *(RequiredAction, ReconfigurationPlan, Process, Attempt, VetoAnswer),
+        *(RequiredAction, ReconfigurationPlan, Attempt, VetoAnswer),
     )
 }
 """The classes of which facts are made, beside the plain ones."""

@@ -293,7 +293,6 @@ OTHER = KnowledgeBase(rover())
         lambda kb: kb.finish_plan(None, "completed"),
         lambda kb: kb.adaptable_components(5),
         lambda kb: KnowledgeBase(None),
-        lambda kb: kb.subscribe(None),
     ],
 )
 def test_what_means_nothing_is_refused(kb, record):

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kb import DuplicateName, Model, ModelError
+from kb import Model, ModelError
 from kb.files import ModelFileError
 
 FILES = sorted(Path(__file__).with_name("typeql_files").glob("*.tql"))
@@ -107,7 +107,7 @@ def test_wrong_statement_is_an_error_with_its_place(tmp_path, text, message):
 
 
 def test_key_given_twice_is_a_duplicate_name(tmp_path):
-    with pytest.raises(DuplicateName, match=r"robot\.tql:6:8: action 'go' is declared") as caught:
+    with pytest.raises(ModelError, match=r"robot\.tql:6:8: action 'go' is declared") as caught:
         load(tmp_path, ROBOT + "$b isa Action, has action-name 'go';")
     assert isinstance(caught.value, ModelFileError)
 
