@@ -42,8 +42,6 @@ _LOG = logging.getLogger(__name__)
 SEARCH = "search"
 """The strategy that is the exact search in this process."""
 
-# Within a tick, the search looks at most at this many moves; some milliseconds.
-_MOVES_IN_A_TICK = 100
 _MOVES_FOR_AN_OPERATION = 5
 _MOST_DOMAINS = 8
 _MOST_ENTRIES = 1 << 14
@@ -100,13 +98,9 @@ class Planner:
         return _Planning(self, problem).result()
 
     def start(self, problem: Problem) -> "Future[PlanningResult]":
-        """Plan in a new thread, or at once if that fits into a tick. Cancelling ends the engine."""
+        """Plan in a new thread. Cancelling the future ends the engine."""
         future: Future[PlanningResult] = Future()
         planning = _Planning(self, problem)
-        at_once = planning.at_once()
-        if at_once is not None:
-            future.set_result(at_once)
-            return future
 
         def on_done(done: "Future[PlanningResult]") -> None:
             if done.cancelled():
@@ -182,19 +176,6 @@ class _Planning:
         self._problem = problem
         self._domain = problem.domain.with_numbers(problem.costs)
         self.cancelled = threading.Event()
-
-    # ------------------------------------------------------------ answers
-
-    def at_once(self) -> PlanningResult | None:
-        """Return the answer if it can be found within a tick, else None."""
-        task = self._planner.grounded(self._domain, self._problem.state)
-        if not self._may_search or task is None or len(task.steps) > _MOVES_IN_A_TICK:
-            return None
-        try:
-            answer = self._checked(SEARCH, self._search(task, _MOVES_IN_A_TICK, inf))
-        except Exception:  # `result` meets the same error and reports it
-            return None
-        return self._report(answer, SEARCH)
 
     def result(self) -> PlanningResult:
         """Ask the search for at most half of the time, and the engine if it gives up."""
@@ -423,13 +404,10 @@ def certificate(
         failures: the largest number of unfeasible actions in a combination; None for all.
 
     Raises:
-        PlannerSettingError: `failures` is out of range, or there are too many combinations.
+        PlannerSettingError: there are too many combinations.
     """
     actions = domain.rosa_actions
-    most = len(actions) if failures is None else failures
-    if not 0 <= most <= len(actions):
-        message = f"failures is {most}, expected 0 to {len(actions)}"
-        raise PlannerSettingError(f"{message}, as so many actions there are")
+    most = len(actions) if failures is None else max(failures, 0)
     total = sum(comb(len(actions), count) for count in range(most + 1))
     if total > _MOST_ENTRIES:
         message = f"{total} combinations of {len(actions)} actions are too many"
