@@ -10,14 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from kb.elements import KINDS, Owner, RequiredActionFact, called, listed, text
-    KINDS,
-    Attribute,
-    Owner,
-    RequiredActionFact,
-    listed,
-    text,
-)
+from kb.elements import KINDS, Attribute, Owner, RequiredActionFact, called, listed, text
 from kb.exceptions import UnknownName
 from kb.network import Network, Node
 from kb.remedies import Interval, Requirements, bounds
