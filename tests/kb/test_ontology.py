@@ -117,7 +117,7 @@ def test_model_in_two_files_is_one_model(tmp_path):
     first, *rest = (mark + individuals).split("\n\n")
     (tmp_path / "most.owl").write_text(head + "\n".join(rest))
     (tmp_path / "rest.owl").write_text(f"{head}{first}</rdf:RDF>")
-    loaded = Model.load([tmp_path / "most.owl", tmp_path / "rest.owl"], "suave_extended")
+    loaded = Model.load([tmp_path / "most.owl", tmp_path / "rest.owl"])
     assert loaded == find_mission("suave_extended").model()
 
 
