@@ -24,7 +24,6 @@ from kb import elements, situations, views
 from kb.debounce import NEVER
 from kb.diagnostics import DiagnosticProblem, DiagnosticRules, record_diagnostics
 from kb.elements import (
-    Action,
     Parameters,
     finite_number,
     flag,
@@ -860,10 +859,6 @@ class KnowledgeBase:
                 self._follow(change)
 
     def _follow(self, change: elements.Amended) -> None:
-        for element in change.elements if change.how == "removed" else ():
-            if isinstance(element, Action) and element.name in self._records.required:
-                reason = "it is no longer in the model"
-                self._record("cancel_action", element.name, "abandoned", reason)
         self._amendment = change
         names = [str(getattr(element, "name", element)) for element in change.elements]
         words = f"{', '.join(names)} {change.how} in the model"
@@ -873,8 +868,7 @@ class KnowledgeBase:
         """Follow the model as it is now; it can be repeated."""
         assert self._amendment is not None  # an amendment is noted before it is recorded
         self._followed = self._amendment
-        is_removed = self._amendment.how == "removed"
-        changed = () if is_removed else self._amendment.elements
+        changed = self._amendment.elements
         self._state = self._state.moved(Network(self.model), changed, self._now)
 
     # ---------------------------------------------------------------- causes
