@@ -193,13 +193,15 @@ class Model:
 
         One that the manager shall switch is of kind "process" or "lifecycle".
         """
-        options = {
-            "kind": kind,
-            "always_improve": always_improve,
-            "stops_to_configure": stops_to_configure,
-        }
         return self.declare(
-            Component, name, constraints, **options, package=package, executable=executable
+            Component,
+            name,
+            constraints,
+            kind=kind,
+            always_improve=always_improve,
+            stops_to_configure=stops_to_configure,
+            package=package,
+            executable=executable,
         )
 
     def function(self, name: str, *, always_improve: bool = False) -> Function:
@@ -242,13 +244,8 @@ class Model:
         """
         kind = KINDS[cls]
         identifier(kind, name)
-        checks = CHECKS[cls]
-        for field, value in stated.items():
-            if field in checks:
-                stated[field] = checks[field].check(field, name, value)
-            else:
-                stated[field] = self._referred(cls, name, field, value)
-        element = cls(name, self, **stated)
+        checked = {field: self._field(cls, name, field, value) for field, value in stated.items()}
+        element = cls(name, self, **checked)
         constrained = self._constraints((element,), constraints)  # type: ignore[arg-type]  # it can be, where there are any
         if name in self._tables[cls]:
             raise DuplicateName(
@@ -328,13 +325,11 @@ class Model:
         self._observers.append(ref(observer, self._observers.remove))
 
     @classmethod
-    def load(cls, paths: str | Path | Iterable[str | Path], name: str | None = None) -> Self:
+    def load(cls, paths: str | Path | Iterable[str | Path]) -> Self:
         """Read a model from one or several files, each of which may add to those before it.
 
         Args:
             paths: files in ROSA's TypeQL (`.tql`) or in OWL (`.owl`); all in the same format.
-            name: name of the model; by default the one in the files, else the name of the first
-                file.
 
         Raises:
             ModelError: the message gives the file, line and column, what was found there and what
@@ -348,10 +343,10 @@ class Model:
         if suffixes == {".owl"}:
             from kb.ontology import load_owl
 
-            return load_owl(cls, files, name)
+            return load_owl(cls, files)
         from kb.typeql import load_typeql
 
-        return load_typeql(cls, files, name)
+        return load_typeql(cls, files)
 
     def save(self, path: str | Path) -> None:
         """Write the model to an OWL file, whole or not at all; `load` reads back the same model."""
@@ -516,20 +511,22 @@ class Model:
     def _repr_html_(self) -> str:
         rows = []
         for words, values in self.plain()[1:]:
-            name = values.pop("name", None)
-            if name is not None:
+            if "name" in values:
+                name = values.pop("name")
                 stated = [f"{field.replace('_', ' ')}: {value}" for field, value in values.items()]
-                rows.append((KINDS[_CLASSES[words]], name, "; ".join(stated)))
+                rows.append((words, name, "; ".join(stated)))
         return html_table(f"model {self.name}", ("kind", "name", "what it is"), rows)
 
-    def _referred(self, cls: type, name: str, field: str, value: object) -> object:
-        """Return elements that are restored, or the names that a field holds."""
+    def _field(self, cls: type, name: str, field: str, value: object) -> Any:  # noqa: ANN401  # of any field
+        """Return what is given for a field as it is kept: elements that it names by their names."""
+        if field in CHECKS[cls]:
+            return CHECKS[cls][field].check(field, name, value)
         if field == "restores":
             what = f"what {name!r} restores"
             each = [self._own(what, item, Attribute, Component) for item in listed(what, value)]
             return tuple(dict.fromkeys(each))
         if field not in REFERENCES:
-            raise UnknownName(f"field of {KINDS[cls]}", field, CHECKS[cls])
+            raise UnknownName(f"field of {elements.ROSA[cls]}", field, CHECKS[cls])
         target = REFERENCES[field]
         if field not in _MANY:
             return self._own(KINDS[target], value, target).name
@@ -545,26 +542,30 @@ class Model:
         for field in fields(fact):
             name = field.name
             value = getattr(fact, name)
-            if name in CHECKS[type(fact)]:
-                value = CHECKS[type(fact)][name].check(name, kind, value)
-            elif name in REFERENCES:
-                value = self._referred(type(fact), kind, name, value)
-            elif name == "element":
+            if name == "element":
                 value = self._own(f"what this {kind} is about", value, *_ABOUT[type(fact)])
             elif name == "status":
                 value = status_of(KINDS[type(values["element"])], value)
             elif name == "value":
                 value = self.attributes[values["attribute"]].checked(value)
-            elif name == "result" and value is not None:
-                check_result(value)
+            elif name == "preference":
+                value = self._weights(value)
+            elif name != "result":
+                value = self._field(type(fact), kind, name, value)
             elif value is not None:
-                if not isinstance(value, Mapping):
-                    what = "a preference is given as weights by name of attribute"
-                    raise ModelError(f"{what}, not as {value!r}")
-                weights = {self.attributes[key].name: finite_number(value[key]) for key in value}
-                value = MappingProxyType(weights) if weights else None
+                check_result(value)
             values[name] = value
         return replace(fact, **values)
+
+    def _weights(self, preference: object) -> Mapping[str, float] | None:
+        """Return a preference with the weights of attributes of this model."""
+        if not preference:
+            return None
+        if not isinstance(preference, Mapping):
+            what = "a preference is given as weights by name of attribute"
+            raise ModelError(f"{what}, not as {preference!r}")
+        weights = {self.attributes[name].name: preference[name] for name in preference}
+        return MappingProxyType({name: finite_number(weights[name]) for name in weights})
 
     def _own(self, what: str, element: object, *classes: type) -> Any:  # noqa: ANN401  # of the classes
         """Return an element of this model, given by itself or by a name that only one has."""
@@ -739,10 +740,8 @@ def _expression(row: Sequence[Any]) -> Expression:
 
 
 def differences(then: Model, now: Model) -> list[str]:
-    """Say which statements are in only one of two models: one of a store, and another."""
+    """Return the statements that are in only one of two models."""
     before = [f"{words} {values}" for words, values in then.plain()]
     after = [f"{words} {values}" for words, values in now.plain()]
-    return [
-        *(f"{row} is not in the store" for row in after if row not in before),
-        *(f"{row} is in the store only" for row in before if row not in after),
-    ] or ["the order of its elements is another"]
+    rows = [row for row in [*before, *after] if row not in before or row not in after]
+    return rows or ["another order"]

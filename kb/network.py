@@ -17,7 +17,6 @@ from kb.elements import (
     Function,
     FunctionDesign,
     Owner,
-    shown,
 )
 from kb.exceptions import InvalidValue, UnknownName
 
@@ -169,7 +168,7 @@ class Network:
                 positions = map(str, range(len(constraints)))
                 raise UnknownName(f"constraint on {kind} {name!r}", position, positions)
         raise InvalidValue(
-            f"{shown(ref)} stands for nothing; an element is (kind, name), a constraint "
+            f"{ref!r:.200} stands for nothing; an element is (kind, name), a constraint "
             "(kind, name, position) by what it is on"
         )
 

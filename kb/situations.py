@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from kb import explain as explanation
 from kb import views
-from kb.elements import Constraint, Element, finite_number, listed, meant_by, shown
+from kb.elements import Constraint, Element, finite_number, listed, meant_by
 from kb.exceptions import InvalidValue
 from kb.forecast import feasible_until, suppose_forecast
 from kb.network import Network, Node, Ref
@@ -167,32 +167,27 @@ def resolve(
                 f"{element!r} is a view of another knowledge base; take it from this one"
             )
         element = element.element
-    if isinstance(element, Element) and network.model is not element.model:
-        raise InvalidValue(f"{element.name!r} belongs to another model, {element.model.name!r}")
     if isinstance(element, Element | Constraint | tuple):
         node = network.referred(element) if isinstance(element, tuple) else network.find(element)
         if node.kind not in kinds:
             raise InvalidValue(f"{node!r} cannot be meant here; allowed are {', '.join(kinds)}")
         return node
     searched = {kind: network.kinds[kind] for kind in kinds if kind != "constraint"}
-    return meant_by(
-        element, searched, " or ".join(searched), "pass the view meant, e.g. kb." if unique else ""
-    )
+    advice = "pass the view meant, e.g. kb." if unique else ""
+    return meant_by(element, searched, " or ".join(searched), advice)
 
 
 def preferred(
     network: Network, preference: str | Mapping[str, float] | None
 ) -> str | Mapping[str, float] | None:
-    """Return a preference as the name of an attribute, or finite weights by name.
-
-    Any other is refused.
-    """
-    if preference is None or not isinstance(preference, Mapping):
-        return None if preference is None else network.attributes[preference].name
+    """Return a preference as the name of an attribute, or finite weights by name."""
+    if isinstance(preference, str):
+        return network.attributes[preference].name
     weights = {
-        network.attributes[name].name: finite_number(weight) for name, weight in preference.items()
+        network.attributes[name].name: finite_number(weight)
+        for name, weight in (preference or {}).items()
     }
-    return MappingProxyType(weights)
+    return MappingProxyType(weights) if weights else None
 
 
 def _selectable(state: State, nodes: Iterable[Node]) -> tuple[str, ...]:
@@ -232,10 +227,6 @@ def situation(
             interval violates is violated then.
         attributes: values by name of attribute, e.g. `light=0.3`.
     """
-    if not isinstance(measured, Mapping | None):
-        raise InvalidValue(
-            f"what is supposed to be measured is given as values by name, not as {measured!r}"
-        )
     values = {**(measured or {}), **attributes}
     failed = _names("failed", failed)
     recovered = _names("recovered", recovered)
@@ -281,16 +272,16 @@ class Situation:
         self._state = state
         self.now = now  # the time for which it was made [s]
         self.forecast = forecast
+        self.attributes = views.Views(self, "attributes", views.AttributeView)
+        self.configurations = views.Views(self, "configurations", views.ConfigurationView)
+        self.designs = views.Views(self, "designs", views.DesignView)
+        self.components = views.Views(self, "components", views.ComponentView)
+        self.functions = views.Views(self, "functions", views.FunctionView)
+        self.actions = views.Views(self, "actions", views.ActionView)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Situation, (self._state, self.now, None)
 
-    actions = views.ViewsOf(views.ActionView)
-    functions = views.ViewsOf(views.FunctionView)
-    components = views.ViewsOf(views.ComponentView)
-    designs = views.ViewsOf(views.DesignView)
-    configurations = views.ViewsOf(views.ConfigurationView)
-    attributes = views.ViewsOf(views.AttributeView)
     is_feasible = is_feasible
     selectable_actions = selectable_actions
     selectable_designs = selectable_designs
@@ -325,4 +316,4 @@ def number(refusal: str, value: object, attribute: Node) -> float:
     try:
         return attribute.attribute.checked(value)
     except InvalidValue as error:
-        raise InvalidValue(f"{refusal} {shown(value)}: {error}") from None
+        raise InvalidValue(f"{refusal} {value!r:.200}: {error}") from None

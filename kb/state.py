@@ -18,7 +18,6 @@ from kb.events import Event
 from kb.network import Network, Node
 from kb.records import ReconfigurationPlan
 from kb.status import (
-    OPERATORS,
     Status,
     action_status,
     component_status,
@@ -33,6 +32,7 @@ KEPT: Final = 10_000
 
 
 _UNSTORED: Final = ("network", "keep", "_outdated")
+_SHARED: Final = ("histories", "changed_by")  # by all copies, which do not change them
 
 
 class Reason(NamedTuple):
@@ -113,7 +113,7 @@ class State:
         """Return a copy to suppose other facts in."""
         other = State.__new__(State)
         for name, content in vars(self).items():
-            is_copied = isinstance(content, dict | set) and name != "histories"
+            is_copied = isinstance(content, dict | set) and name not in _SHARED
             vars(other)[name] = content.copy() if is_copied else content
         other._outdated = {kind: set() for kind in self._outdated}
         return other
@@ -169,18 +169,11 @@ class State:
 
     # ---------------------------------------------------------------- choosing
 
-    def decide(
-        self,
-        chosen: Sequence[Node],
-        reason: str = "",
-        time: float = 0.0,
-        cause: int | None = None,
-        number: int = 0,
-    ) -> tuple[list[Node], ReconfigurationPlan | None]:
+    def decide(self, chosen: Sequence[Node]) -> tuple[list[Node], ReconfigurationPlan | None]:
         """Decide what a choice changes; what is obsolete is given up. Nothing changes yet.
 
         Returns the designs and configurations that are selected and were not, or the other way
-        round, and the plan that carries it out; None if there is nothing to do.
+        round, and the steps that carry it out; None if there is nothing to do.
         """
         flips = []
         for node in chosen:
@@ -218,13 +211,7 @@ class State:
         )
         if not (activate or deactivate or parameters):
             return flips, None
-        plan = ReconfigurationPlan(
-            *(activate, deactivate, parameters, reason, time),
-            plain=names,
-            cause=cause,
-            number=number,
-        )
-        return flips, plan
+        return flips, ReconfigurationPlan(activate, deactivate, parameters, plain=names)
 
     def after(self, flips: Iterable[Node]) -> "State":
         """Return a copy in which these are selected if they were not, or the other way round."""
@@ -285,16 +272,9 @@ class State:
         self.infer()
 
     def set_measurement(self, node: Node, value: float, time: float, number: int) -> None:
-        """Make a measurement the latest one, and touch the constraints whose status may differ."""
-        before = self.value.get(node)
-        if before is None or node in self.stale:
+        """Make a measurement the latest one."""
+        if value != self.value.get(node) or node in self.stale:
             self.touch(node.constraints)
-        elif value != before:
-            for constraint in node.constraints:
-                holds = OPERATORS[constraint.element.operator]
-                threshold = constraint.element.value
-                if holds(value, threshold) is not holds(before, threshold):
-                    self._outdated["constraint"].add(constraint)
         self.value[node] = value
         self.time[node] = time
         self.stale.discard(node)
@@ -517,22 +497,19 @@ class State:
                 }
         for element in changed:
             if isinstance(element, Attribute | Constraint):
-                state._restart(nodes[element], now)
+                state.restart(nodes[element], now)
         state.touch(network.present())
         state.infer()
         return state
 
-    def _restart(self, node: Node, now: float) -> None:
-        """Judge constraints as if all that is known of their attribute were the latest value."""
+    def restart(self, node: Node, now: float) -> None:
+        """Judge constraints by what is known of their attribute, whatever they were before."""
         is_attribute = node.kind == "attribute"
         attribute = node if is_attribute else node.requires[0]
         self.stale.discard(attribute)
-        if attribute in self.histories:
-            self.silent_until[attribute] = self.histories[attribute][-1][2] - 1
+        self.silent_until.pop(attribute, None)
         for constraint in attribute.constraints if is_attribute else [node]:
             self.debounced.pop(constraint, None)
-            if constraint in attribute.debounced:
-                self.debounced[constraint] = Debounced()
         self._schedule_attribute(attribute, now)
 
 

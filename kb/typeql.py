@@ -6,11 +6,11 @@ start. `typeql.toml` has ROSA's types, roles and attributes, and the fields that
 `match ... insert` finds things of earlier files by their attributes.
 """
 
+import dataclasses
 import re
 import tomllib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -28,7 +28,7 @@ Query = Any  # a tree of lark
 _ROSA: Final = tomllib.loads(Path(__file__).with_name("typeql.toml").read_text(encoding="utf-8"))
 _TYPES: Final[Mapping[str, str]] = _ROSA["types"]
 _WORDS: Final[Mapping[str, Mapping[str, str]]] = _ROSA["words"]
-_STATED: Final[Mapping[str, Callable[[Any], Any]]] = {
+_STATED: Final[Mapping[str, type]] = {
     "is-required": elements.RequiredFact,
     "is-selected": elements.SelectedFact,
     "is-active": elements.ActiveFact,
@@ -83,24 +83,22 @@ def _literal(word: Token, place: Place) -> bool | int | float | str:
         raise place.error(f"`{text:.40}` is not a value: {error!s:.60}") from None
 
 
-@dataclass(slots=True, eq=False)
+@dataclasses.dataclass(eq=False)
 class Thing:
     """An entity or relation that a file states: its kind, and its attributes and players."""
 
     kind: str
     place: Place
-    fields: dict[str, Any] = field(default_factory=dict)
+    fields: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
-def load_typeql(
-    cls: "Callable[[str], ModelT]", files: Sequence[Path], name: str | None
-) -> "ModelT":
+def load_typeql(cls: "Callable[[str], ModelT]", files: Sequence[Path]) -> "ModelT":
     """Read one model from files; each may add to those before it. See `Model.load`."""
     builder = _Builder()
     for file in files:
         for query in parse(read_text(file), str(file)):
             builder.insert(query, str(file))
-    model = cls(name or files[0].stem)
+    model = cls(files[0].stem)
     builder.build(model)
     return model
 
@@ -231,11 +229,11 @@ class _Builder:
             self._elements[thing] = element
             model.places[element] = str(thing.place)
         if status is not None:
-            model.add_fact(elements.StatusFact(element, status))
+            model.state(elements.StatusFact, {"element": element, "status": status})
         for name, value in flags.items():
             if elements.flag(name, value):
-                subject = element.name if name == "is-active" else element
-                model.add_fact(_STATED[name](subject))
+                field = "component" if name == "is-active" else "element"
+                model.state(_STATED[name], {field: element})
 
     def _element(self, value: Any, thing: Thing) -> Any:  # noqa: ANN401  # of any field
         """Return the value of a field with elements in place of the things that became these."""

@@ -163,7 +163,8 @@ def with_types(domain: Domain, variables: Variables, literals: Iterable[Literal]
     listed = list(literals)
     implied = set[tuple[str, str]]()
     for name, terms in listed:
-        for term, kind in zip(terms, domain.signatures[name.lower()].types, strict=True):
+        signature = domain.signatures.get(name.lower())  # none for a type
+        for term, kind in zip(terms, signature.types if signature else (), strict=False):
             implied.update((term, above) for above in domain.kinds[kind.lower()][1])
     for variable, kind in variables:
         if (variable, kind.lower()) not in implied:

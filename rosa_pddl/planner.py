@@ -1,5 +1,6 @@
 """The planner: the exact search, or else an engine; every result has a named outcome."""
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -36,11 +37,11 @@ from rosa_pddl.problem import (
 from rosa_pddl.search import CapReached, Grounded
 from rosa_pddl.validate import TimedStep, flaw, plan_cost, takes_s
 
+_LOG = logging.getLogger(__name__)
+
 SEARCH = "search"
 """The strategy that is the exact search in this process."""
 
-# Within a tick, the search looks at most at this many moves; some milliseconds.
-_MOVES_IN_A_TICK = 100
 _MOVES_FOR_AN_OPERATION = 5
 _MOST_DOMAINS = 8
 _MOST_ENTRIES = 1 << 14
@@ -97,13 +98,9 @@ class Planner:
         return _Planning(self, problem).result()
 
     def start(self, problem: Problem) -> "Future[PlanningResult]":
-        """Plan in a new thread, or at once if that fits into a tick. Cancelling ends the engine."""
+        """Plan in a new thread. Cancelling the future ends the engine."""
         future: Future[PlanningResult] = Future()
         planning = _Planning(self, problem)
-        at_once = planning.at_once()
-        if at_once is not None:
-            future.set_result(at_once)
-            return future
 
         def on_done(done: "Future[PlanningResult]") -> None:
             if done.cancelled():
@@ -180,19 +177,6 @@ class _Planning:
         self._domain = problem.domain.with_numbers(problem.costs)
         self.cancelled = threading.Event()
 
-    # ------------------------------------------------------------ answers
-
-    def at_once(self) -> PlanningResult | None:
-        """Return the answer if it can be found within a tick, else None."""
-        task = self._planner.grounded(self._domain, self._problem.state)
-        if not self._may_search or task is None or len(task.steps) > _MOVES_IN_A_TICK:
-            return None
-        try:
-            answer = self._checked(SEARCH, self._search(task, _MOVES_IN_A_TICK, inf))
-        except Exception:  # `result` meets the same error and reports it
-            return None
-        return self._report(answer, SEARCH)
-
     def result(self) -> PlanningResult:
         """Ask the search for at most half of the time, and the engine if it gives up."""
         self._planner.cancelled.add(self.cancelled)
@@ -262,6 +246,9 @@ class _Planning:
         except UnsupportedPddlError as error:
             return PlanningResult(Outcome.UNSUPPORTED, message=str(error))
         except Exception as error:  # no error here may stop the tree; it is reported by name
+            if strategy == SEARCH:
+                _LOG.exception("the search failed, so an engine is asked")
+                return None
             message = f"{type(error).__name__}: {error}"
             return PlanningResult(Outcome.ENGINE_CRASHED, message=message)
 
@@ -417,13 +404,10 @@ def certificate(
         failures: the largest number of unfeasible actions in a combination; None for all.
 
     Raises:
-        PlannerSettingError: `failures` is out of range, or there are too many combinations.
+        PlannerSettingError: there are too many combinations.
     """
     actions = domain.rosa_actions
-    most = len(actions) if failures is None else failures
-    if not 0 <= most <= len(actions):
-        message = f"failures is {most}, expected 0 to {len(actions)}"
-        raise PlannerSettingError(f"{message}, as so many actions there are")
+    most = len(actions) if failures is None else max(failures, 0)
     total = sum(comb(len(actions), count) for count in range(most + 1))
     if total > _MOST_ENTRIES:
         message = f"{total} combinations of {len(actions)} actions are too many"

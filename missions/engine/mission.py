@@ -20,7 +20,7 @@ from missions.engine.percepts import MISSION_STATUS as MISSION_STATUS
 from missions.engine.percepts import Message as Message
 from missions.engine.percepts import Percepts as Percepts
 from missions.engine.settings import MissionError as MissionError
-from missions.engine.settings import RunSettings, declared, full_names, near, read_values
+from missions.engine.settings import RunSettings, declared, near, read_values
 from missions.engine.settings import Setting as Setting
 from rosa_bt.exceptions import line_in_words
 from rosa_pddl.domain import RosaPddlError
@@ -143,12 +143,8 @@ class WorldKind(ABC):
     managers: ClassVar[Mapping[str, str]] = {}
 
     @abstractmethod
-    def open(self, values: Mapping[str, str], rng: "Generator") -> World:
-        """Open a world with these settings; all its random numbers come from the generator.
-
-        Raises:
-            MissionError: an unknown setting or a value that is not allowed.
-        """
+    def open(self, values: Mapping[str, Any], rng: "Generator") -> World:
+        """Open a world with these settings; all its random numbers come from the generator."""
 
     @abstractmethod
     def verdict(
@@ -305,8 +301,8 @@ def settings_of(mission: Mission) -> tuple[Setting, ...]:
 
 def split_settings(
     mission: Mission, values: Mapping[str, str], options: Sequence[Setting] = ()
-) -> tuple[RunSettings, dict[str, str], dict[str, Any]]:
-    """Split settings into those of the run, of the world (which checks them), and of a manager.
+) -> tuple[RunSettings, dict[str, Any], dict[str, Any]]:
+    """Read settings, and split them into those of the run, of the world, and of a manager.
 
     The unit at the end of a name may be left out, as in start_y for start_y_m.
 
@@ -314,14 +310,12 @@ def split_settings(
         MissionError: an unknown name or a value that is not allowed.
     """
     settings = (*options, *settings_of(mission))
-    texts = full_names(settings, mission.fixed, mission.name)
-    texts |= full_names(settings, values, mission.name)
-    option_values = {option.name: option.default for option in options}
-    option_texts = {name: texts.pop(name) for name in option_values if name in texts}
-    option_values |= read_values(options, option_texts)
-    run_names = [setting.name for setting in declared(RunSettings)]
-    run_texts = {name: texts.pop(name) for name in run_names if name in texts}
-    return RunSettings.read(run_texts), texts, option_values
+    read = read_values(settings, mission.fixed, mission.name)
+    read |= read_values(settings, values, mission.name)
+    option_values = {option.name: read.pop(option.name, option.default) for option in options}
+    names = [setting.name for setting in declared(RunSettings) if setting.name in read]
+    run_settings = RunSettings(**{name: read.pop(name) for name in names})
+    return run_settings, read, option_values
 
 
 # ---------------------------------------------------------------- by name, imported when asked for

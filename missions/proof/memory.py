@@ -34,7 +34,7 @@ _FIXED: Final = (
 _IGNORED: Final = {
     *("iterator", "feedback_message", "logger", "id", "tick", "stop", "update", "initialise"),
     *("terminate", "save_progress", "restore_progress", "finish_time", "plans"),
-    *("_since", "_halting_since", "last_event", "reasons", "_planned"),
+    *("_since", "_halting_since", "last_event", "reasons", "_planned", "asked"),
 }
 """Attributes that decide nothing: functions, texts, records, and times by a clock that stands
 still."""

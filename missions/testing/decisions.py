@@ -385,7 +385,7 @@ class Recording(World):
 class _Nowhere(WorldKind):
     """The world of a model without a mission; it exists for replays only."""
 
-    def open(self, values: Mapping[str, str], rng: "Generator") -> World:
+    def open(self, values: Mapping[str, object], rng: "Generator") -> World:
         raise MissionError("a model alone has no world; replay a recording to it")
 
     def verdict(

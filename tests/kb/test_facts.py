@@ -64,7 +64,6 @@ def test_a_configured_robot_at_work_may_be_stated(model):
         SelectedFact(model.designs["by camera"]),
         SelectedFact(model.configurations["day"]),
         ActiveFact("camera"),
-        ProcessFact("camera", 4711, 80.0),
     )
     assert kb.actions["explore"].status is Status.SOLVED
     (required,) = kb.required_actions
@@ -73,15 +72,6 @@ def test_a_configured_robot_at_work_may_be_stated(model):
         {"energy": 1.0},
         100.0,
     )
-    (process,) = kb.history.processes
-    assert (process.component, process.pid, process.start, process.end) == (
-        "camera",
-        4711,
-        80.0,
-        None,
-    )
-    kb.component_ended("camera", 4711)
-    assert kb.history.processes[0].end == 100.0
     kb.cancel_action("explore", "completed")
     assert kb.obsolete() == (("camera",), ("by camera",), ("day",))
 
@@ -105,21 +95,12 @@ def test_stated_records_that_ended_are_not_open(model):
         model,
         RequiredActionFact("explore", None, 10.0, 20.0, "completed"),
         RequiredActionFact("explore", {"energy": 2.0, "light": 1.0}, 30.0),
-        PlanFact(
-            activate=("camera",), parameters=("day",), start=10.0, end=11.0, result="completed"
-        ),
-        PlanFact(deactivate=("camera",), start=20.0),
     )
     past, present = kb.history.actions
     assert (past.start, past.end, past.result) == (10.0, 20.0, "completed")
     assert dict(present.preference) == {"energy": 2.0, "light": 1.0}
     assert kb.required_actions == (present,)
     assert kb.actions["explore"].is_required
-    done, pending = kb.plans
-    assert (done.activate, done.parameters, done.result) == (("camera",), ("day",), "completed")
-    assert kb.pending_plan is pending
-    assert pending.deactivate == ("camera",)
-    assert kb.finish_plan(pending, "abandoned")
 
 
 @pytest.mark.parametrize(

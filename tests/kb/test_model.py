@@ -98,7 +98,9 @@ REFUSED = {
     "unknown estimation kind .*'negative'": lambda m: m.components["camera"].estimate(
         "light", 1.0, "negativ"
     ),
-    "unknown field of configuration 'colour'": lambda m: m.declare(Configuration, "new", colour=1),
+    "unknown field of component configuration 'colour'": lambda m: m.declare(
+        Configuration, "new", colour=1
+    ),
     "this component configuration is not complete": lambda m: m.state(
         Configuration, {"name": "new", "parameters": {}}
     ),

@@ -30,7 +30,7 @@ def test_model_shows_its_elements_with_what_is_declared_of_them(rover):
     texts = parsed(rover.kb.model._repr_html_())
     assert "model rover" in texts
     assert (
-        texts.index("attribute") < texts.index("configuration") < texts.index("action")
+        texts.index("attribute") < texts.index("component configuration") < texts.index("action")
     )  # after what it refers to
     assert "component: camera; parameters: {'exposure_s': 0.2}; priority: 2" in texts
 

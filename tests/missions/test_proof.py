@@ -237,7 +237,16 @@ def test_verify_command_prints_findings_and_table(tmp_path):
     assert result.exit_code == 0, result.output
     assert "spiral_search fails                 the goal if it happens later" in result.output
     assert all(finding["holds"] for finding in json.loads(target.read_text())["findings"])
-    assert "the goal if it happens later; does inspect_pipeline" in page.read_text()
+    assert "search_pipeline" in page.read_text()
+
+
+def test_tree_that_plans_by_itself_is_finished():
+    proof = prove(setup_of(find_mission("agv"), seconds=inf))
+    assert proof.explored.is_finished
+    assert not proof.broken, proof
+    reaches = {each.fact: each.reaches for each in proof.consequences}
+    assert reaches["amcl fails"] == "the goal"
+    assert reaches["base fails"] == "the goal if it happens later"
 
 
 def test_verify_command_exits_by_what_was_found(tmp_path, monkeypatch):
