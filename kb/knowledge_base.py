@@ -30,7 +30,6 @@ from kb.elements import (
     flag,
     status_of,
     table,
-    whole,
 )
 from kb.events import RECORDS, Event, Publisher, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
@@ -80,8 +79,7 @@ def _update(method: MethodT) -> MethodT:
             self._prepare(now)
             result = method(self, *args, **kwargs)
             last = self.log.last
-        if self._publisher.subscribers or self.store is not None:
-            self._publish(last)
+        self._publish(last)
         return result
 
     _REPLAYABLE[method.__name__.removeprefix("_")] = updating
@@ -162,7 +160,6 @@ class KnowledgeBase:
     ) -> None:
         if not isinstance(model, Model):
             raise InvalidValue(f"a knowledge base is made of a kb.Model, not of {model!r}")
-        whole("keep", keep)
         model.settle()
         self.model = model
         self._clock = clock
@@ -650,7 +647,7 @@ class KnowledgeBase:
         keywords = {"cause": event.cause} if is_caused else {}
         try:
             _REPLAYABLE[verb](self, *arguments, **keywords)
-        except (AttributeError, LookupError, TypeError) as error:
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
             if isinstance(error, KnowledgeBaseError):
                 raise
             raise InvalidValue(f"{verb} cannot be replayed with {arguments!r}: {error}") from None
@@ -952,7 +949,7 @@ class KnowledgeBase:
         return plans[number]
 
     def _node(self, element: ElementLike, kinds: Iterable[str]) -> Node:
-        return resolve(self, self._state, element, kinds, unique=True)
+        return resolve(self._state, element, kinds, unique=True)
 
 
 def _chosen(

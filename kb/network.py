@@ -18,7 +18,7 @@ from kb.elements import (
     FunctionDesign,
     Owner,
 )
-from kb.exceptions import InvalidValue, UnknownName
+from kb.exceptions import UnknownName
 
 Ref = tuple[str, str] | tuple[str, str, int]
 """A reference to a node as plain data: (kind, name); for a constraint (kind, name, position) by an
@@ -150,27 +150,17 @@ class Network:
         UnknownName if it is not, or no longer, in the model.
         """
         nodes = self.kinds[KINDS[type(element)]]
-        node = nodes.get(element if isinstance(element, Constraint) else element.name)
+        key = element if isinstance(element, Constraint) else element.name
+        node = nodes.get(key)
         if node is None or node.element is not element:
-            name = element if isinstance(element, Constraint) else element.name
-            raise UnknownName(nodes.kind, str(name), map(str, nodes))
+            raise UnknownName(nodes.kind, str(key), map(str, nodes))
         return node
 
     def referred(self, ref: Ref) -> Node:
         """Return the node that a reference stands for."""
-        match ref:
-            case str(kind), str(name):
-                return self.kinds[kind][name]
-            case str(kind), str(name), int(position):
-                constraints = self.kinds[kind][name].constraints
-                if 0 <= position < len(constraints):
-                    return constraints[position]
-                positions = map(str, range(len(constraints)))
-                raise UnknownName(f"constraint on {kind} {name!r}", position, positions)
-        raise InvalidValue(
-            f"{ref!r:.200} stands for nothing; an element is (kind, name), a constraint "
-            "(kind, name, position) by what it is on"
-        )
+        kind, name, *position = ref
+        node = self.kinds[kind][name]
+        return node.constraints[position[0]] if position else node
 
 
 def _link(user: Node, part: Node) -> None:

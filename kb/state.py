@@ -416,14 +416,14 @@ class State:
 
     def infer(self) -> None:
         """Infer what is outdated. A node stays outdated until all that follows is stored."""
-        for kind, level in self._outdated.items():
+        for level in self._outdated.values():
             while level:
                 node = next(iter(level))
                 new = self._infer(node)
                 old = self.status.get(node)
                 if new is not old:
-                    unset = Status.NOT_EVALUATED if kind == "constraint" else Status.FEASIBLE
-                    self.before.setdefault(node, old or unset)
+                    if old is not None:
+                        self.before.setdefault(node, old)
                     for user in node.used_by:
                         self._outdated[user.kind].add(user)
                     self.status[node] = new

@@ -92,14 +92,6 @@ def _parts(_: State, node: Node) -> tuple[str, ...]:
     return tuple(part.name for part in node.requires)
 
 
-def _selected(state: State, node: Node) -> str | None:
-    return next((part.name for part in node.requires if part in state.selected), None)
-
-
-def _history(state: State, node: Node) -> tuple[tuple[float, float], ...]:
-    return tuple((time, value) for time, value, _ in tuple(state.histories.get(node, ())))
-
-
 class _StatusView(ElementView):
     __slots__ = ()
 
@@ -152,7 +144,9 @@ class ComponentView(_RequirableView):
     is_active = Known[bool](lambda state, node: node in state.active)
     configurations = Known(_parts)
 
-    selected_configuration = Known(_selected)
+    selected_configuration = Known[str | None](
+        lambda state, node: next((p.name for p in node.requires if p in state.selected), None)
+    )
     """Name of the selected configuration; None if none is selected."""
     parameters_in_force = Known[Parameters](
         lambda state, node: state.parameters.get(node) or MappingProxyType({})
@@ -192,7 +186,9 @@ class AttributeView(ElementView):
     time = Known[float | None](lambda state, node: state.time.get(node))
     is_stale = Known[bool](lambda state, node: node in state.stale)
 
-    history = Known(_history)
+    history = Known[tuple[tuple[float, float], ...]](
+        lambda state, node: tuple(row[:2] for row in tuple(state.histories.get(node, ())))
+    )
     """The newest measurements as (time [s], value), in order of time."""
 
 
