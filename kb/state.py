@@ -307,11 +307,7 @@ class State:
         _put(vars(self)[fact], node, is_so)
         if fact == "failed" and not is_so and self.asserted.get(node) is Status.FAILURE:
             self.assert_status(node, None)
-        if fact == "selected" and node.kind == "configuration":  # its own status is the same
-            self.touch(node.used_by)
-            _put(self._obsolete, node, is_so and not self._is_of_use(node))
-        else:
-            self.touch([node])
+        self.touch([node])
         self.give_reason(fact, node, reason)
 
     def give_reason(
@@ -349,16 +345,9 @@ class State:
 
     def due(self, now: float) -> tuple[float, str, Node] | None:
         """Return what time has caused first until now [s]: when, the verb, and of what."""
-        while now >= self.next_due:
-            dues = [(time, node.index, what, node) for (what, node), time in self._due.items()]
-            self.next_due, _, what, node = min(dues, default=(NEVER, 0, "", None))
-            if node is None or now < self.next_due:
-                return None
-            status = self.judged(node, self.next_due)[0].status if what == "dwell" else None
-            if what != "dwell" or status is not self.verdict(node):
-                return self.next_due, what, node
-            self._judge(node, self.next_due)
-        return None
+        dues = [(time, node.index, what, node) for (what, node), time in self._due.items()]
+        self.next_due, _, what, node = min(dues, default=(NEVER, 0, "", None))
+        return None if node is None or now < self.next_due else (self.next_due, what, node)
 
     def _schedule(self, what: str, node: Node, time: float | None) -> None:
         """Note when time changes something of a node next [s]; None is never."""
@@ -429,17 +418,15 @@ class State:
                     self.status[node] = new
                 if node.kind in ("function", "component"):
                     _put(self.adaptable, node, _is_adaptable(node, new))
-                if node.kind == "component":
-                    is_active = node in self.active
-                    _put(self._obsolete, node, is_active and not self.serves(node))
-                    is_lacking = not is_active and self.is_required(node)
-                    _put(self._inactive_required, node, is_lacking)
-                elif node.kind in ("configuration", "function design"):
-                    _put(self._obsolete, node, node in self.selected and not self._is_of_use(node))
+                is_chosen = node in self.active or node in self.selected
+                _put(self._obsolete, node, is_chosen and not self._is_of_use(node))
+                is_idle = node.kind == "component" and node not in self.active
+                _put(self._inactive_required, node, is_idle and self.is_required(node))
                 level.discard(node)
 
-    def _is_of_use(self, chosen: Node) -> bool:
-        owner = chosen.used_by[0]
+    def _is_of_use(self, node: Node) -> bool:
+        """Return whether a component, or a part for its owner, can serve what is required."""
+        owner = node if node.kind == "component" else node.used_by[0]
         return self.is_required(owner) if owner.kind == "function" else self.serves(owner)
 
     def _infer(self, node: Node) -> Status:
@@ -496,7 +483,7 @@ class State:
                     node: value for key, value in content.items() if (node := _moved(key, nodes))
                 }
         for element in changed:
-            if isinstance(element, Attribute | Constraint):
+            if isinstance(element, Attribute | Constraint) and element in nodes:
                 state.restart(nodes[element], now)
         state.touch(network.present())
         state.infer()

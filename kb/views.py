@@ -145,7 +145,9 @@ class ComponentView(_RequirableView):
     configurations = Known(_parts)
 
     selected_configuration = Known[str | None](
-        lambda state, node: next((p.name for p in node.requires if p in state.selected), None)
+        lambda state, node: next(
+            (part.name for part in node.requires if part in state.selected), None
+        )
     )
     """Name of the selected configuration; None if none is selected."""
     parameters_in_force = Known[Parameters](
