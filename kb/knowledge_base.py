@@ -79,7 +79,8 @@ def _update(method: MethodT) -> MethodT:
             self._prepare(now)
             result = method(self, *args, **kwargs)
             last = self.log.last
-        self._publish(last)
+        if self._publisher.subscribers or self.store is not None:
+            self._publish(last)
         return result
 
     _REPLAYABLE[method.__name__.removeprefix("_")] = updating
@@ -537,7 +538,7 @@ class KnowledgeBase:
                 raise Unselectable(f"{node} cannot be selected: {why(state, node, self._now)}")
         if cause is None:
             cause = self._cause_of_choice(nodes)
-        words = why_selected(state, nodes, self._now, reason, self._records.end_reasons.values())
+        words = why_selected(state, nodes, self._now, reason)
         number = next(reversed(self._records.plans), 0) + 1
         flips, plan = state.decide(nodes)
         if plan is not None:

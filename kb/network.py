@@ -1,6 +1,6 @@
 """The network of a model: one node for each element, linked to those that its status needs."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Any, Final
@@ -108,12 +108,12 @@ class Network:
             self.kinds[kind] = nodes = ByName(kind, siblings=self.kinds)
             for key, element in model.tables[cls].items():
                 nodes[key] = Node(self, next(numbers), kind, str(key), element)
-        self.attributes: Mapping[str, Node] = self.kinds["attribute"]
-        self.components: Mapping[str, Node] = self.kinds["component"]
-        self.configurations: Mapping[str, Node] = self.kinds["configuration"]
-        self.functions: Mapping[str, Node] = self.kinds["function"]
-        self.designs: Mapping[str, Node] = self.kinds["function design"]
-        self.actions: Mapping[str, Node] = self.kinds["action"]
+        self.attributes = self.kinds["attribute"]
+        self.components = self.kinds["component"]
+        self.configurations = self.kinds["configuration"]
+        self.functions = self.kinds["function"]
+        self.designs = self.kinds["function design"]
+        self.actions = self.kinds["action"]
         for node in self.configurations.values():
             _link(self.components[node.element.component], node)
         for node in self.designs.values():

@@ -18,6 +18,7 @@ from kb.events import Event
 from kb.network import Network, Node
 from kb.records import ReconfigurationPlan
 from kb.status import (
+    OPERATORS,
     Status,
     action_status,
     component_status,
@@ -272,9 +273,16 @@ class State:
         self.infer()
 
     def set_measurement(self, node: Node, value: float, time: float, number: int) -> None:
-        """Make a measurement the latest one."""
-        if value != self.value.get(node) or node in self.stale:
+        """Make a measurement the latest one, and touch the constraints whose status may differ."""
+        before = self.value.get(node)
+        if before is None or node in self.stale:
             self.touch(node.constraints)
+        elif value != before:
+            for constraint in node.constraints:
+                holds = OPERATORS[constraint.element.operator]
+                threshold = constraint.element.value
+                if holds(value, threshold) is not holds(before, threshold):
+                    self._outdated["constraint"].add(constraint)
         self.value[node] = value
         self.time[node] = time
         self.stale.discard(node)
@@ -307,7 +315,11 @@ class State:
         _put(vars(self)[fact], node, is_so)
         if fact == "failed" and not is_so and self.asserted.get(node) is Status.FAILURE:
             self.assert_status(node, None)
-        self.touch([node])
+        if fact == "selected" and node.kind == "configuration":  # its own status is the same
+            self.touch(node.used_by)
+            _put(self._obsolete, node, is_so and not self._is_of_use(node))
+        else:
+            self.touch([node])
         self.give_reason(fact, node, reason)
 
     def give_reason(
