@@ -152,9 +152,9 @@ def choice(what: str, options: type[ChoiceT], value: object) -> ChoiceT:
 
 def status_of(kind: str, value: object) -> Status:
     """Return a status that elements of a kind can have."""
-    if value not in STATUSES.get(kind, ()):
-        known = ", ".join(repr(str(status)) for status in STATUSES.get(kind, ()))
-        raise InvalidValue(f"a {kind} is never {value!s:.60}; it can be {known}")
+    possible = STATUSES.get(kind, ())
+    if value not in possible:
+        raise InvalidValue(f"a {kind} is never {value!s:.60}; it can be {', '.join(possible)}")
     return Status(str(value))
 
 
@@ -170,18 +170,14 @@ def listed(what: str, values: object) -> tuple[Any, ...]:
 def parameters(configuration: str, values: object) -> Mapping[str, Any]:
     """Return the parameters of a configuration, a copy that cannot be changed."""
     if not isinstance(values, Mapping):
-        raise ModelError(
-            f"the parameters of {configuration!r} are given as values by name, not as {values!r}"
-        )
-    for key in values:
-        if not isinstance(key, str):
-            raise ModelError(f"the name of a parameter of {configuration!r} is a text, not {key!r}")
-    return MappingProxyType(
-        {key: _parameter(configuration, key, value) for key, value in values.items()}
-    )
+        what = f"the parameters of {configuration!r} are given as values by name"
+        raise ModelError(f"{what}, not as {values!r}")
+    return MappingProxyType({key: _parameter(configuration, key, values[key]) for key in values})
 
 
-def _parameter(configuration: str, key: str, value: object) -> object:
+def _parameter(configuration: str, key: object, value: object) -> object:
+    if not isinstance(key, str):
+        raise ModelError(f"the name of a parameter of {configuration!r} is a text, not {key!r}")
     if _is_scalar(value):
         return value
     if isinstance(value, list | tuple) and all(_is_scalar(item) for item in value):
@@ -327,11 +323,8 @@ class Expression:
                 f"{self.operator!r} is no comparison; there are {', '.join(OPERATORS)}"
             )
         finite_number(self.value)
-        for what, unit in (("hysteresis", "in the attribute's unit"), ("dwell", "in seconds")):
-            if finite_number(getattr(self, what)) < 0:
-                raise ModelError(
-                    f"the {what} of {self} is a number from 0, {unit}; not {getattr(self, what)!r}"
-                )
+        for what in ("hysteresis", "dwell"):
+            _SPAN.check(what, str(self), getattr(self, what))
 
     def steady(self, *, hysteresis: float = 0.0, dwell: float = 0.0) -> "Expression":
         """Return the same comparison for a constraint that does not flap about its threshold.

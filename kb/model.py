@@ -325,13 +325,11 @@ class Model:
         self._observers.append(ref(observer, self._observers.remove))
 
     @classmethod
-    def load(cls, paths: str | Path | Iterable[str | Path], name: str | None = None) -> Self:
+    def load(cls, paths: str | Path | Iterable[str | Path]) -> Self:
         """Read a model from one or several files, each of which may add to those before it.
 
         Args:
             paths: files in ROSA's TypeQL (`.tql`) or in OWL (`.owl`); all in the same format.
-            name: name of the model; by default the one in the files, else the name of the first
-                file.
 
         Raises:
             ModelError: the message gives the file, line and column, what was found there and what
@@ -345,10 +343,10 @@ class Model:
         if suffixes == {".owl"}:
             from kb.ontology import load_owl
 
-            return load_owl(cls, files, name)
+            return load_owl(cls, files)
         from kb.typeql import load_typeql
 
-        return load_typeql(cls, files, name)
+        return load_typeql(cls, files)
 
     def save(self, path: str | Path) -> None:
         """Write the model to an OWL file, whole or not at all; `load` reads back the same model."""
@@ -742,10 +740,8 @@ def _expression(row: Sequence[Any]) -> Expression:
 
 
 def differences(then: Model, now: Model) -> list[str]:
-    """Say which statements are in only one of two models: one of a store, and another."""
+    """Return the statements that are in only one of two models."""
     before = [f"{words} {values}" for words, values in then.plain()]
     after = [f"{words} {values}" for words, values in now.plain()]
-    return [
-        *(f"{row} is not in the store" for row in after if row not in before),
-        *(f"{row} is in the store only" for row in before if row not in after),
-    ] or ["the order of its elements is another"]
+    rows = [row for row in [*before, *after] if row not in before or row not in after]
+    return rows or ["another order"]

@@ -14,11 +14,10 @@ import math
 import re
 import time
 from ast import literal_eval
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import fields
-from functools import cache
+from functools import cache, partial
 from io import BytesIO
 from pathlib import Path
 from threading import RLock
@@ -43,9 +42,9 @@ ROSA: Final = "http://rosa-taca/rosa#"
 BASE: Final = "http://rosa-taca/model/"
 """The prefix of individuals; the id of the model and `#` follow."""
 HISTORY: Final = 10_000
-"""The most events and ended periods that a world holds."""
+"""After so many events, a world begins anew with the newest ones."""
 RECORDS: Final = 1000
-"""The most records of each kind that a world holds."""
+"""The most events, measurements and records of each kind with which a world begins."""
 _OWL: Final = "http://www.w3.org/2002/07/owl#"
 _RDFS: Final = "http://www.w3.org/2000/01/rdf-schema#"
 _XSD: Final = "http://www.w3.org/2001/XMLSchema#"
@@ -210,8 +209,7 @@ def declare_words(ontology: Any) -> None:  # noqa: ANN401  # of owlready2
 
 def _id(word: str, name: object) -> str:
     """Return the id of an individual; different names have different ids."""
-    escaped = quote(str(name), safe="", errors="surrogatepass")
-    return f"{word}.{escaped.replace('.', '%2E').replace('~', '%7E')}"
+    return f"{word}.{quote(str(name), safe='').replace('.', '%2E')}"
 
 
 def described(element: Any, own: str, **more: object) -> Individual:  # noqa: ANN401  # a dataclass
@@ -291,14 +289,6 @@ class _Graph:
             self._things[own] = owlready2.Thing(own, namespace=self.ontology)
         return self._things[own]
 
-    def drop(self, word: str, own: str) -> None:
-        """Remove an individual."""
-        import owlready2
-
-        del self.written[word, own]
-        if own in self._things:
-            owlready2.destroy_entity(self._things.pop(own))
-
     def _values(self, own: str, name: str, field: str, value: Any) -> Iterator[Any]:  # noqa: ANN401  # of any class
         """Yield the values of a property for a field, as owlready2 takes them."""
         if field in _JSON and value:
@@ -345,44 +335,45 @@ def owl_text(model: elements.Owner) -> str:
         return written.getvalue().decode()
 
 
-def load_owl(cls: "Callable[[str], ModelT]", paths: Sequence[Path], name: str | None) -> "ModelT":
+def load_owl(cls: "Callable[[str], ModelT]", paths: Sequence[Path]) -> "ModelT":
     """Read one model from one or more OWL files in RDF/XML; see `Model.load`."""
-    with _LOCK, closing(_Graph("")) as graph:
+    with _LOCK, closing(_Reader("")) as reader:
         for path in paths:
-            _parse(graph.world, path)
+            reader.parse(path)
         try:
-            names = [each.rosa_name for each in graph.rosa.RobotModel.instances()]
-            model = cls(name or [*names, paths[0].stem][0])
-            _Reader(graph).declare(model)
+            reader.check_words()
+            names = [each.rosa_name for each in reader.rosa.RobotModel.instances()]
+            model = cls([*names, paths[0].stem][0])
+            reader.declare(model)
         except KnowledgeBaseError as error:
             raise ModelFileError(str(error), ", ".join(map(str, paths))) from None
         return model
 
 
-def _parse(world: World, path: Path) -> None:
-    """Read the triples of a file into an ontology of its own."""
-    import owlready2
-
-    text = read_text(path)
-    if ROSA not in text:
-        raise ModelFileError(f"nothing in it is described in the words of {ROSA}", str(path))
-    ontology = world.get_ontology(f"{BASE}file{len(world.ontologies)}#")
-    try:
-        expat.ParserCreate().Parse(text, True)  # says what is wrong, and refuses endless entities
-        ontology.graph.parse(BytesIO(text.encode()), format="rdfxml", default_base=BASE)
-    except (expat.ExpatError, owlready2.OwlReadyOntologyParsingError) as error:
-        raise ModelFileError(f"this is not RDF/XML: {error}", str(path)) from None
-
-
-class _Reader:
+class _Reader(_Graph):
     """Declares the individuals of a world in a model, each after those that it refers to."""
 
-    def __init__(self, graph: _Graph) -> None:
-        self._rosa = graph.rosa
-        self._world = graph.world
+    def __init__(self, model: str) -> None:
+        super().__init__(model)
         self._elements: ByName[Any] = ByName("individual")
-        words = "SELECT DISTINCT ?w { { ?x a ?w } UNION { ?x ?w ?y } }"
-        for (iri,) in answers(graph.world, words):
+
+    def parse(self, path: Path) -> None:
+        """Read the triples of a file into an ontology of its own."""
+        import owlready2
+
+        text = read_text(path)
+        if ROSA not in text:
+            raise ModelFileError(f"nothing in it is described in the words of {ROSA}", str(path))
+        ontology = self.world.get_ontology(f"{BASE}file{len(self.world.ontologies)}#")
+        try:
+            expat.ParserCreate().Parse(text, True)  # says what is wrong
+            ontology.graph.parse(BytesIO(text.encode()), format="rdfxml", default_base=BASE)
+        except (expat.ExpatError, owlready2.OwlReadyOntologyParsingError) as error:
+            raise ModelFileError(f"this is not RDF/XML: {error}", str(path)) from None
+
+    def check_words(self) -> None:
+        """Refuse words that ROSA does not have; owlready2 would ignore them."""
+        for (iri,) in answers(self.world, "SELECT DISTINCT ?w { { ?x a ?w } UNION { ?x ?w ?y } }"):
             word = str(iri).removeprefix(ROSA)
             if word != iri and word not in WORDS:
                 raise UnknownName("word of ROSA", word, WORDS)
@@ -392,8 +383,8 @@ class _Reader:
         facts = len(elements.KINDS)  # they are in one order, after all elements
         found: list[tuple[int, list[int], str, Any, type]] = []
         for rank, cls in enumerate(elements.ROSA):
-            for thing in self._rosa[CLASSES[cls]].instances():
-                place = self._rosa.position[thing]
+            for thing in self.rosa[CLASSES[cls]].instances():
+                place = self.rosa.position[thing]
                 found.append((min(rank, facts), place, thing.iri, thing, cls))
         for *_, iri, thing, cls in sorted(found, key=lambda each: each[:3]):
             words = [own.name for own in thing.is_a]
@@ -406,20 +397,19 @@ class _Reader:
 
     def _fields(self, thing: Any, cls: type) -> dict[str, Any]:  # noqa: ANN401  # of owlready2
         """Return the fields of a dataclass as an individual has them."""
-        orders = dict(line.split(" ", 1) for line in self._rosa.order[thing])
+        orders = dict(line.split(" ", 1) for line in self.rosa.order[thing])
         stated: dict[str, Any] = {}
         for field, name in _properties(cls).items():
+            values = list(self.rosa[name][thing])
+            if name not in _LISTS:
+                if values:
+                    (value,) = values
+                    stated[field] = self._read(field, name, value)
+                continue
             order = orders.get(name, "").split()
-            values = sorted(self._rosa[name][thing], key=lambda each: _place(order, each))
+            values.sort(key=partial(_place, order))
             read = [self._read(field, name, value) for value in values]
-            if name in ("hasParameter", "hasPreference"):
-                stated[field] = dict(read)
-            elif name in _LISTS:
-                stated[field] = read
-            elif len(read) > 1:
-                raise ModelError(f"{name} has one value, not {len(read)}")
-            elif read:
-                stated[field] = read[0]
+            stated[field] = dict(read) if name.startswith("has") else read
         return stated
 
     def _read(self, field: str, name: str, value: Any) -> Any:  # noqa: ANN401  # of any class
@@ -434,10 +424,10 @@ class _Reader:
         return str(value) if isinstance(value, str) else value  # without its language
 
 
-def _place(order: Sequence[str], value: Any) -> tuple[float, str]:  # noqa: ANN401  # of owlready2
+def _place(order: Sequence[str], value: Any) -> tuple[int, str]:  # noqa: ANN401  # of owlready2
     """Return the place of an individual in the order that is stated; the others come last."""
     name = getattr(value, "name", "")
-    return order.index(name) if name in order else math.inf, name
+    return [*order, name].index(name), name
 
 
 def contradiction(text: str) -> str | None:
@@ -478,9 +468,8 @@ class _Live(_Graph):
     def __init__(self, kb: Any) -> None:  # noqa: ANN401  # a knowledge base, which imports this module
         super().__init__(kb.model.name)
         self._last = -math.inf  # number of the newest event in it
-        self._count = 0
+        self._first = kb.log.last
         self._open: dict[Period, Individual] = {}
-        self._past: deque[tuple[str, str]] = deque()
         with kb.reading() as state:
             self._network = state.network
             model = list(self.describe(kb.model))
@@ -488,14 +477,14 @@ class _Live(_Graph):
             self.put(individual)
 
     def update(self, kb: Any) -> bool:  # noqa: ANN401  # a knowledge base, which imports this module
-        """Write what is new; return whether the model is still the one that is described.
+        """Write what is new, or return that the world has to begin anew.
 
         The knowledge base is held only while it is copied.
         """
         with kb.reading() as state:
             if kb.log.last == self._last:
                 return True
-            if state.network is not self._network:
+            if state.network is not self._network or kb.log.last > self._first + HISTORY:
                 return False
             events = list(kb.log.since(max(self._last, 0)))
             measured = sorted(self._measured(state))
@@ -510,12 +499,12 @@ class _Live(_Graph):
             times[event.subject] = event.time
         for period in sorted(self._open.keys() | periods.keys()):
             self._follow(period, periods.get(period), times.get(period[1], kb.log.time))
-        for number, moment, name, value in measured[-HISTORY:]:
+        for number, moment, name, value in measured[-RECORDS:]:
             stated = {"attribute": name, "time": moment, "value": value}
-            self._remember(Individual("Measurement", _id("Measurement", number), stated))
+            self.put(Individual("Measurement", _id("Measurement", number), stated))
         for event in events[-RECORDS:]:
             if event.verb != "measure":
-                self._remember(_happening(event))
+                self.put(_happening(event))
         return True
 
     # ---------------------------------------------------------------- copied
@@ -579,28 +568,20 @@ class _Live(_Graph):
             return
         if before:
             del self._open[period]
-            self._remember(before._replace(fields={**before.fields, "end": moment}))
+            self.put(before._replace(fields={**before.fields, "end": moment}))
         if stated is not None:
-            self._count += 1
             begun = {"about": self.thing(about), "start": moment, **stated}
-            self._open[period] = Individual(word, _id(word, self._count), begun)
+            self._open[period] = Individual(word, _id(word, len(self.written)), begun)
             self.put(self._open[period])
-
-    def _remember(self, individual: Individual) -> None:
-        """Write an individual of the past, in place of the oldest if there are too many."""
-        self.put(individual)
-        self._past.append(individual[:2])
-        if len(self._past) > HISTORY:
-            self.drop(*self._past.popleft())
 
 
 def _happening(event: Event) -> Individual:
     """Describe an event."""
-    stated = {"time": event.time, "verb": event.verb, "subject": event.subject, "text": event.text}
     if event.verb == "amend":
         stated = {"time": event.time, "change": event.text}
-    word = "Amendment" if event.verb == "amend" else "Event"
-    return Individual(word, _id(word, event.number), stated)
+        return Individual("Amendment", _id("Amendment", event.number), stated)
+    stated = {"time": event.time, "verb": event.verb, "subject": event.subject, "text": event.text}
+    return Individual("Event", _id("Event", event.number), stated)
 
 
 class Ontology:
@@ -651,7 +632,6 @@ _REFUSED: Final = {
     "ASK": "SELECT instead, and look whether there is a row",
     "CONSTRUCT": "SELECT the subjects, properties and values instead",
     "DESCRIBE": "SELECT ?property ?value { <individual> ?property ?value } instead",
-    "SERVICE": "leave it out, nothing is asked of other places",
     "INSERT": "leave it out, nothing is changed",
     "DELETE": "leave it out, nothing is changed",
 }
@@ -671,13 +651,12 @@ def answers(world: World, sparql: str) -> list[tuple[Answer, ...]]:
         TimeoutError: its time is over.
     """
     literals: list[str] = []
-    has_prefixes = re.search(r"(?i)\bprefix\b", sparql)
 
     def replaced(match: re.Match[str]) -> str:
         refused = (match["refused"] or "").upper()
         if refused:
             raise InvalidValue(f"{refused} is not supported; {_REFUSED[refused]}")
-        if match["word"] and match["word"] not in WORDS and not has_prefixes:
+        if match["word"] and match["word"] not in WORDS:
             raise UnknownName("word of ROSA", match["word"], sorted(WORDS))
         if match["comment"]:
             return " "

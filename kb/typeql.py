@@ -92,15 +92,13 @@ class Thing:
     fields: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
-def load_typeql(
-    cls: "Callable[[str], ModelT]", files: Sequence[Path], name: str | None
-) -> "ModelT":
+def load_typeql(cls: "Callable[[str], ModelT]", files: Sequence[Path]) -> "ModelT":
     """Read one model from files; each may add to those before it. See `Model.load`."""
     builder = _Builder()
     for file in files:
         for query in parse(read_text(file), str(file)):
             builder.insert(query, str(file))
-    model = cls(name or files[0].stem)
+    model = cls(files[0].stem)
     builder.build(model)
     return model
 

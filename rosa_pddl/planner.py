@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, field, replace
-from itertools import accumulate, chain, combinations, product
+from itertools import chain, combinations, product
 from math import comb, inf
 
 from rosa_pddl.domain import (
@@ -35,15 +35,13 @@ from rosa_pddl.problem import (
     Problem,
 )
 from rosa_pddl.search import CapReached, Grounded
-from rosa_pddl.validate import TimedStep, flaw, plan_cost, takes_s
+from rosa_pddl.validate import TimedStep, flaw, plan_cost
 
 _LOG = logging.getLogger(__name__)
 
 SEARCH = "search"
 """The strategy that is the exact search in this process."""
 
-# Within a tick, the search looks at most at this many moves; some milliseconds.
-_MOVES_IN_A_TICK = 100
 _MOVES_FOR_AN_OPERATION = 5
 _MOST_DOMAINS = 8
 _MOST_ENTRIES = 1 << 14
@@ -100,13 +98,9 @@ class Planner:
         return _Planning(self, problem).result()
 
     def start(self, problem: Problem) -> "Future[PlanningResult]":
-        """Plan in a new thread, or at once if that fits into a tick. Cancelling ends the engine."""
+        """Plan in a new thread. Cancelling the future ends the engine."""
         future: Future[PlanningResult] = Future()
         planning = _Planning(self, problem)
-        at_once = planning.at_once()
-        if at_once is not None:
-            future.set_result(at_once)
-            return future
 
         def on_done(done: "Future[PlanningResult]") -> None:
             if done.cancelled():
@@ -182,19 +176,6 @@ class _Planning:
         self._problem = problem
         self._domain = problem.domain.with_numbers(problem.costs)
         self.cancelled = threading.Event()
-
-    # ------------------------------------------------------------ answers
-
-    def at_once(self) -> PlanningResult | None:
-        """Return the answer if it can be found within a tick, else None."""
-        task = self._planner.grounded(self._domain, self._problem.state)
-        if not self._may_search or task is None or len(task.steps) > _MOVES_IN_A_TICK:
-            return None
-        try:
-            answer = self._checked(SEARCH, self._search(task, _MOVES_IN_A_TICK, inf))
-        except Exception:  # `result` meets the same error and reports it
-            return None
-        return self._report(answer, SEARCH)
 
     def result(self) -> PlanningResult:
         """Ask the search for at most half of the time, and the engine if it gives up."""
@@ -277,19 +258,13 @@ class _Planning:
         missing = missing_package(engine)
         if missing is not None:
             raise PlanningFailed(Outcome.ENGINE_MISSING, missing)
-        if deadline <= time.monotonic():
-            message = f"of {self._planner.timeout_s:g} s no time was left for it"
-            raise PlanningFailed(Outcome.OUT_OF_TIME, message)
-        if domain.axioms and engine not in (*DOWNWARD, KAIROS):
-            message = f"{', '.join(domain.axioms)} is derived, which {engine} does not know"
-            raise PlanningFailed(Outcome.UNSUPPORTED, f"{message}; Planner() does")
         text = self._text(engine)
         left_s = deadline - time.monotonic()
         outcome, plan = self._planner.process.ask(engine, text, self.cancelled, left_s)
         timed = list[TimedStep]()
         for name, arguments, *times in plan:
             timed.append(TimedStep(text.step(domain, name, arguments), *(times or (0.0, 0.0))))
-        is_schedule = self._planner.overlapping or domain.only_planned or domain.timed
+        is_schedule = self._planner.overlapping or domain.only_planned
         steps = tuple(each.step for each in timed)
         return PlanningResult(outcome, steps, schedule=tuple(timed) if is_schedule else ())
 
@@ -300,7 +275,7 @@ class _Planning:
             return problem.write("overlapping")
         if engine in DOWNWARD:
             return problem.write("costs")
-        if problem.until or domain.timed or "total-time" in names_in([domain.metric]):
+        if problem.until or "total-time" in names_in([domain.metric]):
             return problem.write("timed")
         has_numbers = engine == KAIROS or domain.computed or domain.compared
         try:
@@ -339,13 +314,10 @@ class _Planning:
         if not answer.outcome.is_solved or self._domain.only_planned:
             return answer
         problem = self._problem
-        domain = self._domain
-        state = problem.state
-        costs = problem.costs
-        takes = [takes_s(domain, step, state, costs) for step in answer.steps]
-        ends_s = tuple(accumulate(takes))
         plan = answer.schedule or answer.steps
-        wrong = flaw(domain, plan, state, problem.wanted, problem.until, ends_s, costs)
+        wrong = flaw(
+            self._domain, plan, problem.state, problem.wanted, problem.until, problem.costs
+        )
         if wrong is not None:
             message = f"{strategy} returned a plan that does not work: {wrong}"
             raise PlanningFailed(Outcome.ENGINE_CRASHED, message)
@@ -423,13 +395,10 @@ def certificate(
         failures: the largest number of unfeasible actions in a combination; None for all.
 
     Raises:
-        PlannerSettingError: `failures` is out of range, or there are too many combinations.
+        PlannerSettingError: there are too many combinations.
     """
     actions = domain.rosa_actions
-    most = len(actions) if failures is None else failures
-    if not 0 <= most <= len(actions):
-        message = f"failures is {most}, expected 0 to {len(actions)}"
-        raise PlannerSettingError(f"{message}, as so many actions there are")
+    most = len(actions) if failures is None else max(failures, 0)
     total = sum(comb(len(actions), count) for count in range(most + 1))
     if total > _MOST_ENTRIES:
         message = f"{total} combinations of {len(actions)} actions are too many"

@@ -268,11 +268,6 @@ class PlannerClient:
         """Whether a question is open."""
         return self._question is not None
 
-    @property
-    def was_answered_at_once(self) -> bool:
-        """Whether the answer to the open question may be taken in the tick of the request."""
-        return self._delay_s is None and self.has_answer
-
     def ask(self, problem: Problem, reason: str = "", cause: int | None = None) -> None:
         """Ask for a plan; an open question is given up."""
         self.give_up()

@@ -10,7 +10,6 @@ from py_trees.common import Status
 from kb import KnowledgeBase, Model
 from rosa_pddl import (
     Outcome,
-    Planner,
     PlannerSettingError,
     PlanningResult,
     ReplanningPolicy,
@@ -268,14 +267,3 @@ def test_a_plan_names_the_event_of_the_log_that_took_or_gave_feasibility(extende
     first, second = world.executor.plans
     assert (first.cause, second.cause) == (None, lost)
     assert second.reason == "search_pipeline became unfeasible"
-
-
-def test_what_a_planner_answers_at_once_is_begun_in_the_same_tick_unless_there_is_a_delay(extended):
-    planner = Planner()
-    World(extended, planner).run(until="search_pipeline")  # now the task is translated
-    world = World(extended, planner, delay_s=None)
-    world.tick()
-    assert world.executor.current_steps[0].schema == "search_pipeline"
-    world = World(extended, planner)
-    world.tick()
-    assert not world.executor.current_steps
