@@ -21,7 +21,6 @@ from rosa_bt import (
     TraceVisitor,
     TreeChangeError,
     TreeRunner,
-    do_until_unfeasible,
     export_xml,
     load_xml,
     read_trace,
@@ -222,8 +221,3 @@ def test_setup_reaches_a_behaviour_inserted_later():
 def test_runner_with_a_wrong_argument_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         TreeRunner(Running("rest"), **arguments)
-
-
-def test_idiom_with_a_list_of_tasks_is_refused():
-    with pytest.raises(TypeError, match="put several in a Sequence or a Selector"):
-        do_until_unfeasible([Running("work")], Running("rest"))
