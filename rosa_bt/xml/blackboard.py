@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from contextlib import suppress
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, get_args, get_origin
 
 from py_trees.common import Status
@@ -179,7 +178,7 @@ class Blackboard(MutableMapping[str, Any]):
 
     clock: Clock = time.monotonic
     has_own_clock = False
-    enums: Mapping[str, int] = MappingProxyType({})
+    enums: Mapping[str, int] = {}
 
     def __init__(
         self,
