@@ -14,7 +14,7 @@ from rosa_bt.behaviours import ActionBehaviour, HasStatus, IsActionFeasible, Mea
 from rosa_bt.composites import DoUntilUnfeasible
 from rosa_bt.decorators import Clock, ClockFollower, ForAction, Retry, UntilSuccess
 from rosa_bt.exceptions import RegistryError, RosaBtError, XmlError, hint, in_words
-from rosa_bt.xml.blackboard import Blackboard, Declared, NodeError, Ports, convert, key_of
+from rosa_bt.xml.blackboard import Blackboard, Declared, Ports, convert, key_of
 from rosa_bt.xml.document import MARKS, Document, Element
 from rosa_bt.xml.nodes import NODES, RULES, Branch, Slot, is_plain
 from rosa_bt.xml.scripts import parse_script
@@ -295,11 +295,10 @@ class _Builder:
         if isinstance(behaviour, PortsMixin):
             ports.connect(behaviour)
         if isinstance(behaviour, ActionBehaviour) and "action" not in ports.keys:
-            name = behaviour.action
-            behaviour.kb.is_feasible(name)  # raises now, not during a mission, if it is unknown
-            if ports.literals.get("action", name) != name:
-                problem = f"the constructor says already that 'action' is {name!r}"
-                raise NodeError(f"{problem}; leave action=... out")
+            action = behaviour.action
+            behaviour.kb.is_feasible(action)  # raises now, if it is unknown
+            if ports.literals.get("action", action) != action:
+                raise NodeError(f"its class does {action!r} already; leave action=... out")
         return behaviour
 
     def _is_condition(self, element: Element, node: Behaviour) -> bool:
