@@ -10,16 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from kb.elements import (
-    KINDS,
-    Attribute,
-    Constraint,
-    Element,
-    Owner,
-    RequiredActionFact,
-    listed,
-    text,
-)
+from kb.elements import KINDS, Attribute, Owner, RequiredActionFact, called, listed, text
 from kb.exceptions import UnknownName
 from kb.network import Network, Node
 from kb.remedies import Interval, Requirements, bounds
@@ -121,14 +112,12 @@ def check_model(model: Owner, names: Iterable[str] | None = None) -> tuple[Findi
         *_doubtful_choices(model, network),
         *(finding_of("file-note", f"model {model.name}", note) for note in model.notes),
     ]
-    places = {_described(element): place for element, place in model.places.items()}
+    places = {
+        f"{KINDS[type(element)]} {called(element)}": place
+        for element, place in model.places.items()
+    }
     placed = [replace(each, place=places.get(each.element, "")) for each in findings]
     return tuple(sorted(placed, key=lambda finding: finding.severity is not Severity.ERROR))
-
-
-def _described(element: Element | Constraint) -> str:
-    name = element.name if isinstance(element, Element) else element
-    return f"{KINDS[type(element)]} {name}"
 
 
 def _mismatches(actions: Collection[str], names: Iterable[str]) -> Iterator[Finding]:
@@ -314,20 +303,18 @@ def _exclude_one_another(alternatives: Sequence[Mapping[str, Interval]]) -> bool
 
 def _excluded(component: Node) -> Iterator[Finding]:
     """Yield the configurations that the component's own constraints exclude, if not all."""
-    own = bounds(component)
-    clashes: list[tuple[Node, str]] = []
-    possible = 0
-    for part in component.requires:
-        needed = bounds(part)
-        if not _is_contradictory(needed):
-            possible += 1
-            shared = [name for name in needed if name in own]
-            excluding = [name for name in shared if needed[name].meet(own[name]).is_empty]
-            clashes += [(part, name) for name in excluding[:1]]
-    for part, name in clashes if len(clashes) < possible and not _is_contradictory(own) else ():
-        needs = bounds(part)[name].text(name)
-        message = f"{part} needs {needs}, but its {component} {own[name].text(name)}"
-        yield finding_of("never-selected", part, message)
+    excluded = {
+        part: name
+        for part in component.requires
+        for name, interval in _bounds_in_use(part).items()
+        if interval.is_empty
+    }
+    for part, name in excluded.items() if len(excluded) < len(component.requires) else ():
+        needed = bounds(part)[name]
+        if not needed.is_empty:
+            own = bounds(component)[name].text(name)
+            message = f"{part} needs {needed.text(name)}, but its {component} {own}"
+            yield finding_of("never-selected", part, message)
 
 
 def _dominated(owner: Node) -> Iterator[Finding]:

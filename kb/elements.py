@@ -152,9 +152,9 @@ def choice(what: str, options: type[ChoiceT], value: object) -> ChoiceT:
 
 def status_of(kind: str, value: object) -> Status:
     """Return a status that elements of a kind can have."""
-    if value not in STATUSES.get(kind, ()):
-        known = ", ".join(repr(str(status)) for status in STATUSES.get(kind, ()))
-        raise InvalidValue(f"a {kind} is never {value!s:.60}; it can be {known}")
+    possible = STATUSES.get(kind, ())
+    if value not in possible:
+        raise InvalidValue(f"a {kind} is never {value!s:.60}; it can be {', '.join(possible)}")
     return Status(str(value))
 
 
@@ -170,18 +170,14 @@ def listed(what: str, values: object) -> tuple[Any, ...]:
 def parameters(configuration: str, values: object) -> Mapping[str, Any]:
     """Return the parameters of a configuration, a copy that cannot be changed."""
     if not isinstance(values, Mapping):
-        raise ModelError(
-            f"the parameters of {configuration!r} are given as values by name, not as {values!r}"
-        )
-    for key in values:
-        if not isinstance(key, str):
-            raise ModelError(f"the name of a parameter of {configuration!r} is a text, not {key!r}")
-    return MappingProxyType(
-        {key: _parameter(configuration, key, value) for key, value in values.items()}
-    )
+        what = f"the parameters of {configuration!r} are given as values by name"
+        raise ModelError(f"{what}, not as {values!r}")
+    return MappingProxyType({key: _parameter(configuration, key, values[key]) for key in values})
 
 
-def _parameter(configuration: str, key: str, value: object) -> object:
+def _parameter(configuration: str, key: object, value: object) -> object:
+    if not isinstance(key, str):
+        raise ModelError(f"the name of a parameter of {configuration!r} is a text, not {key!r}")
     if _is_scalar(value):
         return value
     if isinstance(value, list | tuple) and all(_is_scalar(item) for item in value):
@@ -266,7 +262,6 @@ _FLAG: Final = Field(lambda field, name, value: flag(f"{field} of {name!r}", val
 _TEXT: Final = Field(lambda field, name, value: text(f"the {field} of {name!r}", value), False)
 _NUMBER: Final = Field(lambda _, __, value: finite_number(value))
 _TIME: Final = Field(lambda _, __, value: None if value is None else finite_number(value))
-_PID: Final = Field(lambda _, __, value: whole("a process number", value, 0))
 _PRIORITY: Final = Field(_priority)
 _SPAN: Final = _number("the {field} of {name!r} is a number from 0", 0, _MOST)
 _AGE: Final = _number("{field} of {name!r} is a time in seconds above 0", _LEAST, math.inf)
@@ -327,11 +322,8 @@ class Expression:
                 f"{self.operator!r} is no comparison; there are {', '.join(OPERATORS)}"
             )
         finite_number(self.value)
-        for what, unit in (("hysteresis", "in the attribute's unit"), ("dwell", "in seconds")):
-            if finite_number(getattr(self, what)) < 0:
-                raise ModelError(
-                    f"the {what} of {self} is a number from 0, {unit}; not {getattr(self, what)!r}"
-                )
+        for what in ("hysteresis", "dwell"):
+            _SPAN.check(what, str(self), getattr(self, what))
 
     def steady(self, *, hysteresis: float = 0.0, dwell: float = 0.0) -> "Expression":
         """Return the same comparison for a constraint that does not flap about its threshold.
@@ -753,28 +745,6 @@ class RequiredActionFact:
     result: str | None = None
 
 
-@dataclass(frozen=True)
-class ProcessFact:
-    """A component ran, or runs, as a process; times as in `RequiredActionFact`."""
-
-    component: str
-    pid: Annotated[int, _PID]
-    start: Annotated[float | None, _TIME] = None
-    end: Annotated[float | None, _TIME] = None
-
-
-@dataclass(frozen=True)
-class PlanFact:
-    """A reconfiguration plan was made; times as in `RequiredActionFact`."""
-
-    activate: tuple[str, ...] = ()
-    deactivate: tuple[str, ...] = ()
-    parameters: tuple[str, ...] = ()
-    start: Annotated[float | None, _TIME] = None
-    end: Annotated[float | None, _TIME] = None
-    result: str | None = None
-
-
 ROSA: Final[Mapping[type, str]] = {
     **KINDS,
     Configuration: "component configuration",
@@ -784,8 +754,6 @@ ROSA: Final[Mapping[type, str]] = {
     SelectedFact: "selection",
     ActiveFact: "activity",
     RequiredActionFact: "required action",
-    ProcessFact: "component process",
-    PlanFact: "reconfiguration plan",
 }
 """What each class of element and fact is called, each after those that it refers to."""
 
@@ -799,23 +767,14 @@ CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {
 }
 """How the fields of each class are checked, except fields that name elements."""
 
-Fact = (
-    MeasurementFact
-    | StatusFact
-    | RequiredFact
-    | SelectedFact
-    | ActiveFact
-    | RequiredActionFact
-    | ProcessFact
-    | PlanFact
-)
+Fact = MeasurementFact | StatusFact | RequiredFact | SelectedFact | ActiveFact | RequiredActionFact
 
 
 class Amended(NamedTuple):
     """One change of a model.
 
     Attributes:
-        how: "declared", "changed" or "removed".
+        how: "declared" or "changed".
         elements: what was.
         put: makes the change, once or again.
         written: what `Model.amend` takes to make it in an equal model, as values for JSON.

@@ -24,13 +24,11 @@ from kb import elements, situations, views
 from kb.debounce import NEVER
 from kb.diagnostics import DiagnosticProblem, DiagnosticRules, record_diagnostics
 from kb.elements import (
-    Action,
     Parameters,
     finite_number,
     flag,
     status_of,
     table,
-    whole,
 )
 from kb.events import RECORDS, Event, Publisher, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
@@ -162,7 +160,6 @@ class KnowledgeBase:
     ) -> None:
         if not isinstance(model, Model):
             raise InvalidValue(f"a knowledge base is made of a kb.Model, not of {model!r}")
-        whole("keep", keep)
         model.settle()
         self.model = model
         self._clock = clock
@@ -177,8 +174,7 @@ class KnowledgeBase:
         self._state = State(Network(model), keep)
         self._records = Records()
         self._event: Event | None = None  # recorded, and not applied completely
-        self._amendment: elements.Amended | None = None  # the last change of the model
-        self._followed: elements.Amended | None = None  # the last one that is recorded
+        self._followed: elements.Amended | None = None  # the last change of the model
         self._revision = 0
         self.log = Log(self.reading)
         self._now = self._read_clock()
@@ -541,7 +537,7 @@ class KnowledgeBase:
                 raise Unselectable(f"{node} cannot be selected: {why(state, node, self._now)}")
         if cause is None:
             cause = self._cause_of_choice(nodes)
-        words = why_selected(state, nodes, self._now, reason, self._records.end_reasons.values())
+        words = why_selected(state, nodes, self._now, reason)
         number = next(reversed(self._records.plans), 0) + 1
         flips, plan = state.decide(nodes)
         if plan is not None:
@@ -650,7 +646,7 @@ class KnowledgeBase:
         keywords = {"cause": event.cause} if is_caused else {}
         try:
             _REPLAYABLE[verb](self, *arguments, **keywords)
-        except (AttributeError, LookupError, TypeError) as error:
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
             if isinstance(error, KnowledgeBaseError):
                 raise
             raise InvalidValue(f"{verb} cannot be replayed with {arguments!r}: {error}") from None
@@ -779,7 +775,7 @@ class KnowledgeBase:
 
     def _prepare(self, now: float) -> None:
         """Complete what was interrupted, and record what time has caused until now [s]."""
-        self._settled()
+        self._complete_event()
         self._now = now = max(now, self.log.time)
         if self._is_timed and now >= self._state.next_due:
             while (due := self._state.due(now)) is not None:
@@ -825,11 +821,15 @@ class KnowledgeBase:
         """Begin with what the model states."""
         state = self._state
         network = state.network
+
+        def time_of(fact: elements.MeasurementFact) -> tuple[bool, float]:
+            return fact.latest, now if fact.time is None else fact.time
+
         measured = [fact for fact in stated if isinstance(fact, elements.MeasurementFact)]
-        measured.sort(key=lambda fact: (fact.latest, now if fact.time is None else fact.time))
+        measured.sort(key=time_of)
         for number, measurement in enumerate(measured, start=-len(measured)):
             node = network.attributes[measurement.attribute]
-            time = now if measurement.time is None else measurement.time
+            _, time = time_of(measurement)
             enter = state.set_measurement if measurement.latest else state.remember
             enter(node, measurement.value, time, number)
         for number, fact in enumerate(stated, start=1):
@@ -854,28 +854,20 @@ class KnowledgeBase:
     def _record_amendment(self, change: elements.Amended) -> None:
         """Record a change of the model, unless it is recorded already."""
         with self._lock:
-            self._settled()
-            if change is not self._followed:
-                change.put()  # no fact is recorded meanwhile: each is of one model
-                self._follow(change)
-
-    def _follow(self, change: elements.Amended) -> None:
-        for element in change.elements if change.how == "removed" else ():
-            if isinstance(element, Action) and element.name in self._records.required:
-                reason = "it is no longer in the model"
-                self._record("cancel_action", element.name, "abandoned", reason)
-        self._amendment = change
-        names = [str(getattr(element, "name", element)) for element in change.elements]
-        words = f"{', '.join(names)} {change.how} in the model"
-        self._record("amend", change.how, change.written, words=words)
+            self._complete_event()
+            if change is self._followed:
+                return
+            change.put()  # no fact is recorded meanwhile: each is of one model
+            names = [str(getattr(element, "name", element)) for element in change.elements]
+            words = f"{', '.join(names)} {change.how} in the model"
+            self._record("amend", change.how, change.written, words=words)
 
     def _renew(self) -> None:
-        """Follow the model as it is now; it can be repeated."""
-        assert self._amendment is not None  # an amendment is noted before it is recorded
-        self._followed = self._amendment
-        is_removed = self._amendment.how == "removed"
-        changed = () if is_removed else self._amendment.elements
-        self._state = self._state.moved(Network(self.model), changed, self._now)
+        """Follow the change of the model that is under way; it can be repeated."""
+        change = self.model.pending
+        if change is not None:
+            self._followed = change
+            self._state = self._state.moved(Network(self.model), change.elements, self._now)
 
     # ---------------------------------------------------------------- causes
 
@@ -952,7 +944,7 @@ class KnowledgeBase:
         return plans[number]
 
     def _node(self, element: ElementLike, kinds: Iterable[str]) -> Node:
-        return resolve(self, self._state, element, kinds, unique=True)
+        return resolve(self._state, element, kinds, unique=True)
 
 
 def _chosen(

@@ -17,7 +17,7 @@ from ast import literal_eval
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import fields
-from functools import cache
+from functools import cache, partial
 from io import BytesIO
 from pathlib import Path
 from threading import RLock
@@ -335,7 +335,7 @@ def owl_text(model: elements.Owner) -> str:
         return written.getvalue().decode()
 
 
-def load_owl(cls: "Callable[[str], ModelT]", paths: Sequence[Path], name: str | None) -> "ModelT":
+def load_owl(cls: "Callable[[str], ModelT]", paths: Sequence[Path]) -> "ModelT":
     """Read one model from one or more OWL files in RDF/XML; see `Model.load`."""
     with _LOCK, closing(_Reader("")) as reader:
         for path in paths:
@@ -343,7 +343,7 @@ def load_owl(cls: "Callable[[str], ModelT]", paths: Sequence[Path], name: str | 
         try:
             reader.check_words()
             names = [each.rosa_name for each in reader.rosa.RobotModel.instances()]
-            model = cls(name or [*names, paths[0].stem][0])
+            model = cls([*names, paths[0].stem][0])
             reader.declare(model)
         except KnowledgeBaseError as error:
             raise ModelFileError(str(error), ", ".join(map(str, paths))) from None
@@ -400,15 +400,16 @@ class _Reader(_Graph):
         orders = dict(line.split(" ", 1) for line in self.rosa.order[thing])
         stated: dict[str, Any] = {}
         for field, name in _properties(cls).items():
+            values = list(self.rosa[name][thing])
+            if name not in _LISTS:
+                if values:
+                    (value,) = values
+                    stated[field] = self._read(field, name, value)
+                continue
             order = orders.get(name, "").split()
-            values = sorted(self.rosa[name][thing], key=lambda each: _place(order, each))
+            values.sort(key=partial(_place, order))
             read = [self._read(field, name, value) for value in values]
-            if name in ("hasParameter", "hasPreference"):
-                stated[field] = dict(read)
-            elif name in _LISTS:
-                stated[field] = read
-            elif read:
-                (stated[field],) = read
+            stated[field] = dict(read) if name.startswith("has") else read
         return stated
 
     def _read(self, field: str, name: str, value: Any) -> Any:  # noqa: ANN401  # of any class
@@ -423,10 +424,10 @@ class _Reader(_Graph):
         return str(value) if isinstance(value, str) else value  # without its language
 
 
-def _place(order: Sequence[str], value: Any) -> tuple[float, str]:  # noqa: ANN401  # of owlready2
+def _place(order: Sequence[str], value: Any) -> tuple[int, str]:  # noqa: ANN401  # of owlready2
     """Return the place of an individual in the order that is stated; the others come last."""
     name = getattr(value, "name", "")
-    return order.index(name) if name in order else math.inf, name
+    return [*order, name].index(name), name
 
 
 def contradiction(text: str) -> str | None:
@@ -576,11 +577,11 @@ class _Live(_Graph):
 
 def _happening(event: Event) -> Individual:
     """Describe an event."""
-    stated = {"time": event.time, "verb": event.verb, "subject": event.subject, "text": event.text}
     if event.verb == "amend":
         stated = {"time": event.time, "change": event.text}
-    word = "Amendment" if event.verb == "amend" else "Event"
-    return Individual(word, _id(word, event.number), stated)
+        return Individual("Amendment", _id("Amendment", event.number), stated)
+    stated = {"time": event.time, "verb": event.verb, "subject": event.subject, "text": event.text}
+    return Individual("Event", _id("Event", event.number), stated)
 
 
 class Ontology:

@@ -98,9 +98,6 @@ class Obsolete(NamedTuple):
     designs: tuple[str, ...]
     configurations: tuple[str, ...]
 
-    def __bool__(self) -> bool:
-        return any(self)
-
 
 def by_owner(chosen: Iterable[Node]) -> Mapping[str, str]:
     """Return the names of what is chosen by what it is chosen for."""

@@ -19,7 +19,6 @@ RESULTS: Final = ("completed", "failed", "abandoned")
 _MOST: Final = 10_000
 """How many records of each kind are held: the newest, and whatever has not ended."""
 _MOST_EVENTS: Final = 100_000
-_MOST_END_REASONS: Final = 4
 
 
 class Reply(NamedTuple):
@@ -228,7 +227,6 @@ class Records:
         attempts: commands by their serial number.
         answers: answers about plans by number of the event.
         last_end: when a request ended last [s], and the number of that event.
-        end_reasons: why requests ended since the last plan, in words, by number of the event.
         rejected: how many values of diagnostics could not be used.
     """
 
@@ -240,14 +238,12 @@ class Records:
         self.attempts: dict[int, Attempt] = {}
         self.answers: dict[int, VetoAnswer] = {}
         self.last_end: tuple[float, int] | None = None
-        self.end_reasons: dict[int, str] = {}
         self.rejected = 0
 
     def apply(self, event: Any) -> None:  # noqa: ANN401  # an `Event`, which has a plan
         """Enter what an event says."""
         now = event.time
         if event.plan is not None:
-            self.end_reasons = {}
             self._add(self.plans, event.plan)
         match event.verb, event.arguments:
             case "request_action", (name, preference):
@@ -259,10 +255,6 @@ class Records:
                 self._add(self.requests, request)
             case "cancel_action", (name, result, reason) if name in self.required:
                 self.last_end = now, event.number
-                if reason:
-                    self.end_reasons[event.number] = f"{name} is {result}: {reason}"
-                    for number in list(self.end_reasons)[:-_MOST_END_REASONS]:
-                        del self.end_reasons[number]
                 _finish(self.required[name], result=result, reason=reason, end=now)
                 del self.required[name]
             case "finish_plan", (number, result):

@@ -4,10 +4,10 @@ Each question is a function, and a method of both `KnowledgeBase` and `Situation
 answers as the base would if some facts were different. No question changes anything.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from kb import explain as explanation
 from kb import views
@@ -31,6 +31,7 @@ ELEMENTS: Final = (
 """The kinds of elements that have a status; all but constraints have a name too."""
 _EXPLAINED: Final = (*ELEMENTS, "attribute")
 
+T = TypeVar("T")
 ElementLike = ElementView | Element | Constraint | Ref | str
 """An element may be given as a view of it, as itself, as what stands for it in events, or by its
 name."""
@@ -111,9 +112,7 @@ def explain(base: Readable, element: ElementLike) -> explanation.Explanation:
     configuration and attribute. Of an attribute it is said what is known of it, and what depends on
     it.
     """
-    now = base.now
-    with base.reading() as state:
-        return explanation.explain(state, resolve(base, state, element, _EXPLAINED), now)
+    return _explained(base, element, _EXPLAINED, explanation.explain)
 
 
 def why(base: Readable, element: ElementLike) -> str:
@@ -121,9 +120,7 @@ def why(base: Readable, element: ElementLike) -> str:
 
     Quicker than `explain`, for it looks for no remedies.
     """
-    now = base.now
-    with base.reading() as state:
-        return explanation.why(state, resolve(base, state, element, _EXPLAINED), now)
+    return _explained(base, element, _EXPLAINED, explanation.why)
 
 
 def explain_choice(base: Readable, element: ElementLike) -> explanation.ChoiceExplanation:
@@ -131,11 +128,18 @@ def explain_choice(base: Readable, element: ElementLike) -> explanation.ChoiceEx
 
     Of a name that both kinds share the function is meant.
     """
+    return _explained(base, element, ("function", "component"), explanation.explain_choice)
+
+
+def _explained(
+    base: Readable,
+    element: ElementLike,
+    kinds: Iterable[str],
+    explain: Callable[[State, Node, float], T],
+) -> T:
     now = base.now
     with base.reading() as state:
-        return explanation.explain_choice(
-            state, resolve(base, state, element, ("function", "component")), now
-        )
+        return explain(state, resolve(state, element, kinds), now)
 
 
 def outline(state: State) -> str:
@@ -148,12 +152,7 @@ def outline(state: State) -> str:
 
 
 def resolve(
-    base: Readable,
-    state: State,
-    element: ElementLike,
-    kinds: Iterable[str],
-    *,
-    unique: bool = False,
+    state: State, element: ElementLike, kinds: Iterable[str], *, unique: bool = False
 ) -> Node:
     """Return the node that is meant; a bare name is looked for in the given kinds, in this order.
 
@@ -162,10 +161,6 @@ def resolve(
     """
     network = state.network
     if isinstance(element, ElementView):
-        if element.base is not base:
-            raise InvalidValue(
-                f"{element!r} is a view of another knowledge base; take it from this one"
-            )
         element = element.element
     if isinstance(element, Element | Constraint | tuple):
         node = network.referred(element) if isinstance(element, tuple) else network.find(element)
@@ -228,9 +223,7 @@ def situation(
         attributes: values by name of attribute, e.g. `light=0.3`.
     """
     values = {**(measured or {}), **attributes}
-    failed = _names("failed", failed)
-    recovered = _names("recovered", recovered)
-    requested = _names("requested", requested)
+    requested = tuple(requested)
     now = base.now
     then = now if at is None else finite_number(at)
     if then < now:
@@ -302,10 +295,6 @@ class Situation:
 
     def __repr__(self) -> str:
         return f"<Situation of {self._state.network.model.name!r}: {outline(self._state)}>"
-
-
-def _names(what: str, names: Iterable[str]) -> tuple[str, ...]:
-    return (names,) if isinstance(names, str) else listed(f"names supposed to be {what}", names)
 
 
 def number(refusal: str, value: object, attribute: Node) -> float:

@@ -18,6 +18,7 @@ from kb.events import Event
 from kb.network import Network, Node
 from kb.records import ReconfigurationPlan
 from kb.status import (
+    OPERATORS,
     Status,
     action_status,
     component_status,
@@ -272,9 +273,16 @@ class State:
         self.infer()
 
     def set_measurement(self, node: Node, value: float, time: float, number: int) -> None:
-        """Make a measurement the latest one."""
-        if value != self.value.get(node) or node in self.stale:
+        """Make a measurement the latest one, and touch the constraints whose status may differ."""
+        before = self.value.get(node)
+        if before is None or node in self.stale:
             self.touch(node.constraints)
+        elif value != before:
+            for constraint in node.constraints:
+                holds = OPERATORS[constraint.element.operator]
+                threshold = constraint.element.value
+                if holds(value, threshold) is not holds(before, threshold):
+                    self._outdated["constraint"].add(constraint)
         self.value[node] = value
         self.time[node] = time
         self.stale.discard(node)
@@ -349,16 +357,9 @@ class State:
 
     def due(self, now: float) -> tuple[float, str, Node] | None:
         """Return what time has caused first until now [s]: when, the verb, and of what."""
-        while now >= self.next_due:
-            dues = [(time, node.index, what, node) for (what, node), time in self._due.items()]
-            self.next_due, _, what, node = min(dues, default=(NEVER, 0, "", None))
-            if node is None or now < self.next_due:
-                return None
-            status = self.judged(node, self.next_due)[0].status if what == "dwell" else None
-            if what != "dwell" or status is not self.verdict(node):
-                return self.next_due, what, node
-            self._judge(node, self.next_due)
-        return None
+        dues = [(time, node.index, what, node) for (what, node), time in self._due.items()]
+        self.next_due, _, what, node = min(dues, default=(NEVER, 0, "", None))
+        return None if node is None or now < self.next_due else (self.next_due, what, node)
 
     def _schedule(self, what: str, node: Node, time: float | None) -> None:
         """Note when time changes something of a node next [s]; None is never."""
@@ -416,30 +417,28 @@ class State:
 
     def infer(self) -> None:
         """Infer what is outdated. A node stays outdated until all that follows is stored."""
-        for kind, level in self._outdated.items():
+        for level in self._outdated.values():
             while level:
                 node = next(iter(level))
                 new = self._infer(node)
                 old = self.status.get(node)
                 if new is not old:
-                    unset = Status.NOT_EVALUATED if kind == "constraint" else Status.FEASIBLE
-                    self.before.setdefault(node, old or unset)
+                    if old is not None:
+                        self.before.setdefault(node, old)
                     for user in node.used_by:
                         self._outdated[user.kind].add(user)
                     self.status[node] = new
                 if node.kind in ("function", "component"):
                     _put(self.adaptable, node, _is_adaptable(node, new))
-                if node.kind == "component":
-                    is_active = node in self.active
-                    _put(self._obsolete, node, is_active and not self.serves(node))
-                    is_lacking = not is_active and self.is_required(node)
-                    _put(self._inactive_required, node, is_lacking)
-                elif node.kind in ("configuration", "function design"):
-                    _put(self._obsolete, node, node in self.selected and not self._is_of_use(node))
+                is_chosen = node in self.active or node in self.selected
+                _put(self._obsolete, node, is_chosen and not self._is_of_use(node))
+                is_idle = node.kind == "component" and node not in self.active
+                _put(self._inactive_required, node, is_idle and self.is_required(node))
                 level.discard(node)
 
-    def _is_of_use(self, chosen: Node) -> bool:
-        owner = chosen.used_by[0]
+    def _is_of_use(self, node: Node) -> bool:
+        """Return whether a component, or a part for its owner, can serve what is required."""
+        owner = node if node.kind == "component" else node.used_by[0]
         return self.is_required(owner) if owner.kind == "function" else self.serves(owner)
 
     def _infer(self, node: Node) -> Status:
@@ -496,7 +495,7 @@ class State:
                     node: value for key, value in content.items() if (node := _moved(key, nodes))
                 }
         for element in changed:
-            if isinstance(element, Attribute | Constraint):
+            if isinstance(element, Attribute | Constraint) and element in nodes:
                 state.restart(nodes[element], now)
         state.touch(network.present())
         state.infer()

@@ -117,7 +117,7 @@ class Store:
             then.amend(*json.loads(data)["arguments"])
         if then != model:
             raise StoreError(
-                f"{self.path}: the store is of another model: "
+                f"{self.path}: the store is of another model; only one of the two has "
                 f"{'; '.join(differences(then, model))}. Give that model, or name another file"
             )
 

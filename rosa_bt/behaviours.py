@@ -3,7 +3,6 @@
 import math
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import suppress
-from weakref import WeakSet
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -42,17 +41,13 @@ class _EndedBadly(Exception):
     """A behaviour raised when it was stopped after SUCCESS or FAILURE; that is reported already."""
 
 
-_guarded: WeakSet[Behaviour] = WeakSet()
-
-
 def guard(behaviour: Behaviour) -> None:
     """Wrap a behaviour, for good: when it raises, it fails, and its children are stopped.
 
     If it raises while it is interrupted, the interruption goes on.
     """
-    if behaviour in _guarded:
+    if "tick" in vars(behaviour):  # it is wrapped already
         return
-    _guarded.add(behaviour)
     tick = behaviour.tick
     stop = behaviour.stop
 
@@ -83,6 +78,14 @@ def guard(behaviour: Behaviour) -> None:
     vars(behaviour).update(tick=guarded_tick, stop=guarded_stop)
 
 
+def finish(behaviour: Behaviour, new_status: Status) -> None:
+    """Give a behaviour the status of this tick, and stop it if that is an end."""
+    if new_status is RUNNING:
+        behaviour.status = new_status
+    else:
+        behaviour.stop(new_status)
+
+
 class KbBehaviour(Behaviour):
     """A leaf that uses a knowledge base.
 
@@ -100,8 +103,9 @@ class KbBehaviour(Behaviour):
     def tick(self) -> Iterator[Behaviour]:
         with self.kb.reading():  # all is answered at one moment, which the trace can name
             self.last_event = self.kb.log.last
-            visited = [*super().tick()]
-        yield from visited
+            new_status = self.update()
+        finish(self, new_status)
+        yield self
 
     def _answer(self, objection: str) -> Status:
         """Return SUCCESS if there is no objection, else FAILURE; it becomes the feedback."""
@@ -255,10 +259,7 @@ class Requester(Behaviour):
             new_status = self._rosa_request.admit()
             if new_status is SUCCESS:
                 new_status = yield from self._rosa_work()
-            if new_status is RUNNING:
-                self.status = new_status
-            else:
-                self.stop(new_status)
+            finish(self, new_status)
         except Exception:
             raise  # the guard fails it
         except BaseException:

@@ -130,13 +130,11 @@ class SafeSwitch(_RoleComposite):
         if before in self.after:
             transition = self.current_child = self.children[self.after.index(before)]
             yield from transition.tick()
-            self.feedback_message = f"switching from {before}: {transition.feedback_message}"
             if transition.status is not SUCCESS:
                 return transition.status
             self.last_action[0] = self.action
         self.current_child = task
         yield from task.tick()
-        self.feedback_message = task.feedback_message
         if task.status is not FAILURE:
             self.last_action[0] = self.action
         return task.status
@@ -179,10 +177,6 @@ def do_until_unfeasible(
         memory: finish `meanwhile` first, even if the task becomes feasible earlier.
         name: of the composite.
     """
-    for part in (task, meanwhile):
-        if not isinstance(part, Behaviour):
-            hint = "put several in a Sequence or a Selector"
-            raise TypeError(f"do_until_unfeasible takes behaviours, not {part!r}; {hint}")
     name = name or f"{task.name}, or else {meanwhile.name}"
     parts = feasible_then_act(task), feasible_then_act(meanwhile)
     return DoUntilUnfeasible(name, *parts, memory=memory)

@@ -160,12 +160,11 @@ class Delay(PassingOn, Timed):
     def tick(self) -> Iterator[Behaviour]:
         if self.status is not RUNNING:
             self.initialise()
+            self.status = RUNNING
         if self.is_over(self.duration):
-            self.status = RUNNING  # it has started
             yield from super().tick()
         else:
             self.feedback_message = f"{self.decorated.name} begins after {self.duration:g} s"
-            self.status = RUNNING
             yield self
 
 
@@ -211,6 +210,7 @@ def follow_clock(behaviour: Behaviour, clock: Clock) -> None:
         behaviour.follow(clock)
     elif isinstance(behaviour, tuple(_BY_CLOCK)):
         kind = type(behaviour).__name__
-        problem = f"{kind} {behaviour.name!r} counts by the clock of this computer"
-        advice = "derive it from rosa_bt.Timeout or rosa_bt.Timer, which follow the runner's"
-        raise TreeChangeError(f"{problem}; {advice}")
+        raise TreeChangeError(
+            f"{kind} {behaviour.name!r} counts by the clock of this computer; "
+            "derive it from rosa_bt.Timeout or rosa_bt.Timer, which follow the runner's"
+        )

@@ -57,8 +57,7 @@ def requests_of(kb: KnowledgeBase) -> Requests:
         _requests[kb] = Requests()
         for action in kb.store.left if kb.store is not None else ():
             if action in kb.actions:
-                ended = "the program that requested it has ended"
-                kb.cancel_action(action, "abandoned", ended)
+                kb.cancel_action(action, "abandoned", "the program that requested it has ended")
     return _requests[kb]
 
 
@@ -116,9 +115,6 @@ class ActionRequest:
     """
 
     def __init__(self, owner: Any, kb: KnowledgeBase) -> None:  # noqa: ANN401  # a Requester
-        if not owner.timeout > 0:
-            problem = f"a time-out is more than 0 s, or math.inf for none; not {owner.timeout!r}"
-            raise ValueError(problem)
         self.owner = owner
         self._kb = kb
         self._requests = requests_of(kb)
@@ -203,16 +199,10 @@ class ActionRequest:
         is_last = [*self._requests.open.values()].count(action) == 1
         if is_last and action in self._kb.actions:  # removing an action cancels its request
             if status is INVALID:
-                reason = reason or self._unfeasibility(action)
-            result = _RESULTS[status]
-            self._kb.cancel_action(action, result, "" if status is SUCCESS else reason)
+                reason = reason or self._objection(action)
+            reason = "" if status is SUCCESS else reason
+            self._kb.cancel_action(action, _RESULTS[status], reason)
         self._requests.open.pop(self, None)
-
-    def _unfeasibility(self, action: str) -> str:
-        """Return why an action is unfeasible, with the ages of now; empty if it is feasible."""
-        kb = self._kb
-        is_unfeasible = action in kb.actions and not kb.is_feasible(action)
-        return kb.why(kb.actions[action]) if is_unfeasible else ""
 
     def _blocking(self, action: str) -> str:
         """Return what an action has to wait for before it is requested; empty if for nothing."""
@@ -252,7 +242,7 @@ class ActionRequest:
         requests = self._requests
         if self in requests.open and not self.is_halting:
             self._halting_since = requests.advanced_at = self._kb.now
-            requests.halting[self] = self._unfeasibility(requests.open[self])
+            requests.halting[self] = self._objection(requests.open[self])
             self.advance_halting()
 
     def advance_halting(self) -> None:

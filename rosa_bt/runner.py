@@ -2,19 +2,16 @@
 
 import logging
 from collections.abc import Callable
-from html import escape
 from typing import Any, Literal
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
 from py_trees.trees import BehaviourTree
-from py_trees.visitors import VisitorBase
 
 from kb import KnowledgeBase
 from rosa_bt.behaviours import KbBehaviour, RosaAction, guard, halt
 from rosa_bt.decorators import Clock, ForAction, follow_clock
-from rosa_bt.display import ascii_tree
 from rosa_bt.exceptions import ClockError, errors_of, report
 from rosa_bt.requests import SUCCESS, advance_halting, end_halting, forget_progress, requests_of
 
@@ -76,16 +73,11 @@ class TreeRunner(BehaviourTree):
         self._ticks = 0
         self._is_stopped = False
         self._nodes: list[Behaviour] = []
+        self._children: list[list[Behaviour]] | None = None
         self._bases: dict[KnowledgeBase, None] = {}
         self._setup_arguments: dict[str, Any] | None = None
-        watch = VisitorBase()
-        vars(watch).update(initialise=self._begin_tick, run=self._raise_error)
-        self.add_visitor(watch)
         self._take_all()
         self._forget_progress()
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{escape(ascii_tree(self.root))}</pre>"
 
     @property
     def tree(self) -> BehaviourTree:
@@ -129,21 +121,40 @@ class TreeRunner(BehaviourTree):
     def tick(
         self, pre_tick_handler: Handler | None = None, post_tick_handler: Handler | None = None
     ) -> None:
-        """Tick once; an exception of a handler, or an interrupt, first stops the tree."""
+        """Tick once, with handlers and visitors as in py_trees, which takes longer.
+
+        An exception of a handler, or an interrupt, first stops the tree.
+        """
         self._read_clock()
         self.errors.clear()
         if self._is_stopped:
             self._begin_tick()
             return
         try:
-            super().tick(pre_tick_handler, post_tick_handler)
+            for handler in filter(None, [pre_tick_handler, *self.pre_tick_handlers]):
+                handler(self)
+            self._begin_tick()
+            for visitor in self.visitors:
+                visitor.initialise()
+            passing = [visitor for visitor in self.visitors if not visitor.full]
+            for node in self.root.tick():
+                self._raise_error()
+                for visitor in passing:
+                    node.visit(visitor)
+            full = [visitor for visitor in self.visitors if visitor.full]
+            for node in self.root.iterate() if full else ():
+                for visitor in full:
+                    node.visit(visitor)
+            for visitor in self.visitors:
+                visitor.finalise()
+            for handler in filter(None, [*self.post_tick_handlers, post_tick_handler]):
+                handler(self)
         except BaseException:
-            try:
-                halt(self.root)
-            finally:
-                for visitor in self.visitors:
-                    visitor.finalise()
+            halt(self.root)
+            for visitor in self.visitors:
+                visitor.finalise()
             raise
+        self.count += 1
         if self.status is SUCCESS:
             self._forget_progress()
 
@@ -175,17 +186,18 @@ class TreeRunner(BehaviourTree):
             if requests_of(kb).halting:
                 advance_halting(kb)
 
-    def _raise_error(self, _: Behaviour | None = None) -> None:
+    def _raise_error(self) -> None:
         if self._raises and self.errors:
             raise self.errors[0][1]
 
     def _take_all(self) -> None:
         """Take what is new in the tree."""
-        nodes = list(self.root.iterate())
-        if nodes == self._nodes:
+        if [node.children for node in self._nodes] == self._children:
             return
+        nodes = list(self.root.iterate())
         before = set(self._nodes)
         self._nodes = nodes
+        self._children = [list(node.children) for node in nodes]
         for behaviour in nodes:
             if behaviour not in before:
                 self._take(behaviour)

@@ -9,6 +9,7 @@ that was under way.
 
 import json
 import math
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -158,7 +159,8 @@ class TraceVisitor(VisitorBase):
         if not all(node in self._numbers for node, _, _ in self._seen):
             self._number(root)
         before = self._ticks[-1] if self._ticks else _NO_TICK
-        visited = tuple(Visit(self._numbers[node], *shown) for node, *shown in self._seen)
+        numbers = self._numbers
+        visited = tuple(Visit(numbers[node], status, text) for node, status, text in self._seen)
         if visited == before.visited:
             visited = before.visited  # keep one copy in memory
         last = max([self._begun, *self._known, *self._own])  # later events are of the next tick
@@ -182,10 +184,7 @@ class TraceVisitor(VisitorBase):
             return -1
         if number in self._own:
             return None
-        for place, known in enumerate(self._known):
-            if known >= number:
-                return place
-        return len(self._known)
+        return bisect_left(self._known, number)
 
     def _witness(self, event: Event) -> None:
         """Note whether the tree told the event.
@@ -358,5 +357,5 @@ class _Replay(TraceVisitor):
                 break
             self.tell([event])
             del left[0]
-        times = [event.time for event, place in left if place is None]
-        self._clock.now = times[0] if times else self._tick.time
+        times = (event.time for event, place in left if place is None)
+        self._clock.now = next(times, self._tick.time)

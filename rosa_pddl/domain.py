@@ -188,14 +188,6 @@ class Step:
         return f"{self.schema}({', '.join(self.arguments)})"
 
 
-class TimedFact(NamedTuple):
-    """A fact that becomes true or false at a time after the start of the problem [s]."""
-
-    at_s: float
-    atom: str
-    is_true: bool
-
-
 @dataclass(frozen=True, eq=False)
 class Domain:
     """What `load_domain` returns; never changes.
@@ -211,7 +203,6 @@ class Domain:
         places: file and line of each object's declaration.
         facts: the initial facts of the problem file.
         numbers: the initial values of numbers, by their text.
-        timed: facts that change by themselves.
         goal: the goal conditions of the problem file.
         metric: what a plan costs, as a number; None for the number of its steps.
         computed: the numbers that actions change and that plans depend on; part of a state.
@@ -232,7 +223,6 @@ class Domain:
     places: Mapping[str, tuple[str, int]] = field(default_factory=dict, repr=False)
     facts: State = field(default=frozenset(), repr=False)
     numbers: Mapping[str, Exact] = field(default_factory=dict, repr=False)
-    timed: tuple[TimedFact, ...] = ()
     goal: tuple[Formula, ...] = ()
     metric: Number = None
     computed: frozenset[str] = frozenset()

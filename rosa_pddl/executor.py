@@ -204,11 +204,8 @@ class PlanExecutor(Behaviour):
         policy: ReplanningPolicy | None = None,
     ) -> None:
         super().__init__(name)
-        why = domain.only_planned
-        if domain.timed:
-            why = f"{domain.timed[0].atom} changes by itself; let it be sensed"
-        if why:
-            message = f"it can be planned for, but not executed: {why}"
+        if domain.only_planned:
+            message = f"it can be planned for, but not executed: {domain.only_planned}"
             raise UnsupportedPddlError(message, domain.file)
         if not callable(sense):
             message = f"sense is {sense!r}, expected a function that returns what is sensed"

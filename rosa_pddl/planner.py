@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, field, replace
-from itertools import accumulate, chain, combinations, product
+from itertools import chain, combinations, product
 from math import comb, inf
 
 from rosa_pddl.domain import (
@@ -35,7 +35,7 @@ from rosa_pddl.problem import (
     Problem,
 )
 from rosa_pddl.search import CapReached, Grounded
-from rosa_pddl.validate import TimedStep, flaw, plan_cost, takes_s
+from rosa_pddl.validate import TimedStep, flaw, plan_cost
 
 _LOG = logging.getLogger(__name__)
 
@@ -258,19 +258,13 @@ class _Planning:
         missing = missing_package(engine)
         if missing is not None:
             raise PlanningFailed(Outcome.ENGINE_MISSING, missing)
-        if deadline <= time.monotonic():
-            message = f"of {self._planner.timeout_s:g} s no time was left for it"
-            raise PlanningFailed(Outcome.OUT_OF_TIME, message)
-        if domain.axioms and engine not in (*DOWNWARD, KAIROS):
-            message = f"{', '.join(domain.axioms)} is derived, which {engine} does not know"
-            raise PlanningFailed(Outcome.UNSUPPORTED, f"{message}; Planner() does")
         text = self._text(engine)
         left_s = deadline - time.monotonic()
         outcome, plan = self._planner.process.ask(engine, text, self.cancelled, left_s)
         timed = list[TimedStep]()
         for name, arguments, *times in plan:
             timed.append(TimedStep(text.step(domain, name, arguments), *(times or (0.0, 0.0))))
-        is_schedule = self._planner.overlapping or domain.only_planned or domain.timed
+        is_schedule = self._planner.overlapping or domain.only_planned
         steps = tuple(each.step for each in timed)
         return PlanningResult(outcome, steps, schedule=tuple(timed) if is_schedule else ())
 
@@ -281,7 +275,7 @@ class _Planning:
             return problem.write("overlapping")
         if engine in DOWNWARD:
             return problem.write("costs")
-        if problem.until or domain.timed or "total-time" in names_in([domain.metric]):
+        if problem.until or "total-time" in names_in([domain.metric]):
             return problem.write("timed")
         has_numbers = engine == KAIROS or domain.computed or domain.compared
         try:
@@ -320,13 +314,10 @@ class _Planning:
         if not answer.outcome.is_solved or self._domain.only_planned:
             return answer
         problem = self._problem
-        domain = self._domain
-        state = problem.state
-        costs = problem.costs
-        takes = [takes_s(domain, step, state, costs) for step in answer.steps]
-        ends_s = tuple(accumulate(takes))
         plan = answer.schedule or answer.steps
-        wrong = flaw(domain, plan, state, problem.wanted, problem.until, ends_s, costs)
+        wrong = flaw(
+            self._domain, plan, problem.state, problem.wanted, problem.until, problem.costs
+        )
         if wrong is not None:
             message = f"{strategy} returned a plan that does not work: {wrong}"
             raise PlanningFailed(Outcome.ENGINE_CRASHED, message)

@@ -1,5 +1,6 @@
 """A planning problem, what came of planning, and the PDDL text that engines read."""
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -205,7 +206,9 @@ class _Writer:
         domain = self._domain
         if domain.only_planned:
             names = {name.lower(): name for name in domain.schema_of}
-            return PddlText(*domain.texts, names)
+            text, problem = domain.texts
+            init = " ".join(["(:init", *sorted(self._problem.state)])
+            return PddlText(text, re.sub(r"\(:init", init, problem, flags=re.I), names)
         actions = list[str]()
         for schema in domain.schema_of.values():
             actions += [_action_text(each) for each in self._versions(schema)]
@@ -272,7 +275,7 @@ class _Writer:
     def _scale_of_costs(self) -> int:
         """Return a factor that makes all costs whole; raise if the engine needs other numbers."""
         domain = self._domain
-        if domain.computed or domain.compared or domain.timed:
+        if domain.computed or domain.compared:
             raise UnsearchableError("Fast Downward plans without numbers that rise and fall")
         costs = list(self._numbers().values())
         for schema in domain.schema_of.values():
@@ -343,8 +346,6 @@ class _Writer:
 
     def _timed_facts(self) -> Iterator[str]:
         if self._is_timed:
-            for at_s, atom, is_true in self._domain.timed:
-                yield f"(at {at_s} {atom if is_true else f'(not {atom})'})"
             for atom, left_s in self._problem.until.items():
                 yield f"(at {max(left_s, 0.001)} (not {atom}))"
 

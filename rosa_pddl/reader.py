@@ -28,7 +28,6 @@ from rosa_pddl.domain import (
     PddlError,
     Schema,
     Signature,
-    TimedFact,
     UnknownNameError,
     UnsupportedPddlError,
     Variables,
@@ -58,6 +57,7 @@ _ONLY_PLANNED = frozenset(
         "preferences",
         "processes",
         "timed-initial-fluents",
+        "timed-initial-literals",
         "trajectory-constraints",
     ]
 )
@@ -490,15 +490,13 @@ class _Reader:
     def _with_formulas(self, domain: Domain, rules: Mapping[str, list[Tree]]) -> Domain:
         facts = set[str]()
         numbers = dict[str, Exact]()
-        timed = list[TimedFact]()
         for tree in section(self.problem, ":init"):
-            self._read_fact(tree, facts, numbers, timed)
+            self._read_fact(tree, facts, numbers)
         goal = [self._formulas.condition(tree, {}) for tree in section(self.problem, ":goal")]
         domain = replace(
             domain,
             facts=frozenset(facts),
             numbers=numbers,
-            timed=tuple(sorted(timed)),
             goal=tuple(conjuncts(goal)),
             metric=self._metric(),
             axioms=self._axioms(rules),
@@ -603,20 +601,13 @@ class _Reader:
 
     # ------------------------------------------------------------ the problem
 
-    def _read_fact(
-        self, tree: Tree, facts: set[str], numbers: dict[str, Exact], timed: list[TimedFact]
-    ) -> None:
+    def _read_fact(self, tree: Tree, facts: set[str], numbers: dict[str, Exact]) -> None:
         """Add what one part of `:init` states."""
         formulas = self._formulas
         head = _head(tree)
         if head == "and":
             for part in tree[1:]:
-                self._read_fact(part, facts, numbers, timed)
-        elif head == "at" and isinstance(tree[1], str) and _NUMBER.fullmatch(tree[1].lower()):
-            is_true = _head(tree[2]) != "not"
-            inner = tree[2] if is_true else tree[2][1]
-            atom = text_of(formulas.atom(inner, {}))
-            timed.append(TimedFact(float(tree[1]), atom, is_true))
+                self._read_fact(part, facts, numbers)
         elif head == "=":
             text = text_of(formulas.number(tree[1], {}))
             if text in numbers:

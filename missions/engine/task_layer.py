@@ -61,8 +61,6 @@ class TaskLayer:
 
     def plans(self) -> tuple[PlanRecord, ...]:
         """Return the last plans of all behaviours, in the order in which they were asked for."""
-        if len(self._planning) == 1:
-            return tuple(self._planning[0].plans)
         plans = [plan for behaviour in self._planning for plan in behaviour.plans]
         return tuple(sorted(plans, key=lambda plan: plan.at_s))
 

@@ -246,7 +246,7 @@ def test_unknown_name_is_a_key_error_that_says_what_is_near(kb, told, ask, near)
 @pytest.mark.parametrize(
     ("element", "status", "words"),
     [
-        ("explore", "broken", "a action is never broken; it can be 'unfeasible'"),
+        ("explore", "broken", "a action is never broken; it can be unfeasible"),
         ("explore", None, "never None"),
         ("explore", "satisfied", "a action is never satisfied"),
         ("day", "solved", "a configuration is never solved"),

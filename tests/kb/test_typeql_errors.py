@@ -58,7 +58,7 @@ MEANING = [
     ("$c has component-name 'other';", "6:8: a second component-name; a component has one"),
     (f"{DESIGN}, has priority 'one';", "6:20: the priority of 'd' is a finite number or None"),
     ("$c has is-required 1;", "4:8: is-required is True or False, not 1"),
-    ("$c has component-status 'failur';", "4:8: a component is never failur; it can be 'failure'"),
+    ("$c has component-status 'failur';", "4:8: a component is never failur; it can be failure"),
     (
         "(action: $a) isa required-action, has start-time 2024-13-01;",
         "6:50: `2024-13-01` is not a value: month",

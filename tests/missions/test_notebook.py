@@ -49,10 +49,6 @@ def test_explanation_is_unfolded_down_to_the_facts_and_ends_with_what_would_help
     assert texts[-1] == "it would be feasible with energy >= 0.2"
 
 
-def test_tree_shows_itself_as_a_picture(rover):
-    assert "explore is unfeasible" in rover.runner._repr_html_()
-
-
 def test_names_are_text_and_nothing_else():
     model = Model(EVIL)
     component = model.component("camera")
