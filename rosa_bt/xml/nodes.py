@@ -338,6 +338,7 @@ class Sequence(Control):
     is_async = False
     keeps_place = False
     current_child: Behaviour | None = None
+    _skipped = 0
 
     def forget(self) -> None:
         super().forget()
@@ -358,13 +359,13 @@ class Sequence(Control):
             if verdict is RUNNING:
                 return RUNNING
             if verdict is SKIPPED:
-                continue
-            if verdict is not self.goes_on:
+                self._skipped += 1
+            elif verdict is not self.goes_on:
                 return self.end(verdict, *(slots[:place] if self.keeps_place else ()))
-            if self.is_async and was_idle and slot is not slots[-1]:
+            elif self.is_async and was_idle and slot is not slots[-1]:
                 self.current_child = slots[place + 1].node
                 return RUNNING
-        is_skipped = all(slot.status not in DONE for slot in slots)
+        is_skipped = self._skipped == len(slots)
         self.current_child = None
         return self.end(SKIPPED if is_skipped else self.goes_on)
 
