@@ -153,7 +153,6 @@ def test_situation_at_a_later_time_only_adds_caution():
     [
         (lambda energy: energy.forecast("crystal ball"), UnknownName, "'constant', 'trend'"),
         (lambda energy: energy.changes(-1, while_="explor"), UnknownName, "explore"),
-        (lambda energy: energy.changes(-1, per="m"), UnknownName, "min"),
         (lambda energy: energy.changes(math.inf), InvalidValue, "finite"),
     ],
 )
