@@ -79,6 +79,14 @@ def test_exception_is_raised_when_the_tree_is_stopped(hook):
     assert all(node.status is not Status.RUNNING for node in runner.tree.root.iterate())
 
 
+def test_exception_of_new_tries_of_a_step_is_logged_once(caplog):
+    runner = slipping("update")
+    for _ in range(3):
+        runner.tick()
+        runner.replace_subtree(runner.root.children[0].id, Slip("update"))
+    assert len(caplog.records) == 1
+
+
 def test_exception_is_in_the_trace_and_in_its_file(tmp_path):
     kb = KnowledgeBase(Model("rover"), clock=Clock())
     runner = slipping("terminate")

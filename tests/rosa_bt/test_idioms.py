@@ -82,7 +82,7 @@ def test_unmodified_behaviour_is_stopped_with_the_reason(kb):
             "camera",
             "broken",
             InvalidValue,
-            "a component is never broken; it can be 'failure'",
+            "a component is never broken; it can be failure",
         ),
     ],
 )
