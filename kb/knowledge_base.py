@@ -24,7 +24,6 @@ from kb import elements, situations, views
 from kb.debounce import NEVER
 from kb.diagnostics import DiagnosticProblem, DiagnosticRules, record_diagnostics
 from kb.elements import (
-    Action,
     Parameters,
     finite_number,
     flag,
@@ -857,10 +856,6 @@ class KnowledgeBase:
                 return
             change.put()  # no fact is recorded meanwhile: each is of one model
             names = [str(getattr(element, "name", element)) for element in change.elements]
-            is_action = change.how == "removed" and isinstance(change.elements[0], Action)
-            if is_action and names[0] in self._records.required:
-                reason = "it is no longer in the model"
-                self._record("cancel_action", names[0], "abandoned", reason)
             words = f"{', '.join(names)} {change.how} in the model"
             self._record("amend", change.how, change.written, words=words)
 

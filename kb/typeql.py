@@ -192,6 +192,9 @@ class _Builder:
     # ---------------------------------------------------------------- a model
 
     def build(self, model: elements.Owner) -> None:
+        for kind in ("reconfiguration-plan", "component-process"):
+            for thing in self._things[kind]:
+                self._notes.append(f"{thing.place}: a model has no {kind}; ignored")
         model.notes.extend(self._notes)
         for cls, words in elements.ROSA.items():
             for thing in self._things[words.replace(" ", "-")]:
@@ -215,10 +218,6 @@ class _Builder:
                 each["attribute"] for each in stated if each["latest"]
             ]
             values.setdefault("latest", is_latest)
-        elif cls is elements.PlanFact:
-            for step in values.pop("steps", ()):
-                for name, players in step.fields.items():
-                    values[name] = [*values.get(name, ()), *players]
         values = {name: self._element(value, thing) for name, value in values.items()}
         if "preference" in values:
             values["preference"] = {each.name: 1.0 for each in values["preference"]}
