@@ -181,8 +181,8 @@ def _parameter(configuration: str, key: object, value: object) -> object:
     if _is_scalar(value):
         return value
     if isinstance(value, list | tuple) and all(_is_scalar(item) for item in value):
-        kinds = {parameter_type(item) for item in value}
-        if kinds == {"long", "double"}:
+        kinds = {type(item) for item in value}
+        if kinds == {int, float}:
             return [float(item) for item in value]
         if len(kinds) <= 1:
             return list(value)
@@ -190,22 +190,6 @@ def _parameter(configuration: str, key: object, value: object) -> object:
         f"parameter {key!r} of configuration {configuration!r} is {value!r:.200}; "
         "allowed are a boolean, a finite number, a text, or a list of one of these"
     )
-
-
-PARAMETER_TYPES: Final[Mapping[type, str]] = {
-    bool: "boolean",
-    float: "double",
-    int: "long",
-    str: "string",
-}
-"""ROSA's words for the types of parameters."""
-
-
-def parameter_type(value: Parameter) -> str:
-    """Return the type of a parameter in ROSA's words; a list without items is one of texts."""
-    if isinstance(value, list):
-        return f"{parameter_type(value[0])}_array" if value else "string_array"
-    return next(word for kind, word in PARAMETER_TYPES.items() if isinstance(value, kind))
 
 
 def _is_scalar(value: object) -> bool:
