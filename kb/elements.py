@@ -181,8 +181,8 @@ def _parameter(configuration: str, key: object, value: object) -> object:
     if _is_scalar(value):
         return value
     if isinstance(value, list | tuple) and all(_is_scalar(item) for item in value):
-        kinds = {parameter_type(item) for item in value}
-        if kinds == {"long", "double"}:
+        kinds = {type(item) for item in value}
+        if kinds == {int, float}:
             return [float(item) for item in value]
         if len(kinds) <= 1:
             return list(value)
@@ -190,22 +190,6 @@ def _parameter(configuration: str, key: object, value: object) -> object:
         f"parameter {key!r} of configuration {configuration!r} is {value!r:.200}; "
         "allowed are a boolean, a finite number, a text, or a list of one of these"
     )
-
-
-PARAMETER_TYPES: Final[Mapping[type, str]] = {
-    bool: "boolean",
-    float: "double",
-    int: "long",
-    str: "string",
-}
-"""ROSA's words for the types of parameters."""
-
-
-def parameter_type(value: Parameter) -> str:
-    """Return the type of a parameter in ROSA's words; a list without items is one of texts."""
-    if isinstance(value, list):
-        return f"{parameter_type(value[0])}_array" if value else "string_array"
-    return next(word for kind, word in PARAMETER_TYPES.items() if isinstance(value, kind))
 
 
 def _is_scalar(value: object) -> bool:
@@ -262,7 +246,6 @@ _FLAG: Final = Field(lambda field, name, value: flag(f"{field} of {name!r}", val
 _TEXT: Final = Field(lambda field, name, value: text(f"the {field} of {name!r}", value), False)
 _NUMBER: Final = Field(lambda _, __, value: finite_number(value))
 _TIME: Final = Field(lambda _, __, value: None if value is None else finite_number(value))
-_PID: Final = Field(lambda _, __, value: whole("a process number", value, 0))
 _PRIORITY: Final = Field(_priority)
 _SPAN: Final = _number("the {field} of {name!r} is a number from 0", 0, _MOST)
 _AGE: Final = _number("{field} of {name!r} is a time in seconds above 0", _LEAST, math.inf)
@@ -746,28 +729,6 @@ class RequiredActionFact:
     result: str | None = None
 
 
-@dataclass(frozen=True)
-class ProcessFact:
-    """A component ran, or runs, as a process; times as in `RequiredActionFact`."""
-
-    component: str
-    pid: Annotated[int, _PID]
-    start: Annotated[float | None, _TIME] = None
-    end: Annotated[float | None, _TIME] = None
-
-
-@dataclass(frozen=True)
-class PlanFact:
-    """A reconfiguration plan was made; times as in `RequiredActionFact`."""
-
-    activate: tuple[str, ...] = ()
-    deactivate: tuple[str, ...] = ()
-    parameters: tuple[str, ...] = ()
-    start: Annotated[float | None, _TIME] = None
-    end: Annotated[float | None, _TIME] = None
-    result: str | None = None
-
-
 ROSA: Final[Mapping[type, str]] = {
     **KINDS,
     Configuration: "component configuration",
@@ -777,8 +738,6 @@ ROSA: Final[Mapping[type, str]] = {
     SelectedFact: "selection",
     ActiveFact: "activity",
     RequiredActionFact: "required action",
-    ProcessFact: "component process",
-    PlanFact: "reconfiguration plan",
 }
 """What each class of element and fact is called, each after those that it refers to."""
 
@@ -792,23 +751,14 @@ CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {
 }
 """How the fields of each class are checked, except fields that name elements."""
 
-Fact = (
-    MeasurementFact
-    | StatusFact
-    | RequiredFact
-    | SelectedFact
-    | ActiveFact
-    | RequiredActionFact
-    | ProcessFact
-    | PlanFact
-)
+Fact = MeasurementFact | StatusFact | RequiredFact | SelectedFact | ActiveFact | RequiredActionFact
 
 
 class Amended(NamedTuple):
     """One change of a model.
 
     Attributes:
-        how: "declared", "changed" or "removed".
+        how: "declared" or "changed".
         elements: what was.
         put: makes the change, once or again.
         written: what `Model.amend` takes to make it in an equal model, as values for JSON.

@@ -24,7 +24,6 @@ from kb import elements, situations, views
 from kb.debounce import NEVER
 from kb.diagnostics import DiagnosticProblem, DiagnosticRules, record_diagnostics
 from kb.elements import (
-    Action,
     Parameters,
     finite_number,
     flag,
@@ -639,10 +638,7 @@ class KnowledgeBase:
             arguments = verb, *arguments
             verb = "replay_due"
         if verb not in _REPLAYABLE:
-            verbs = ", ".join(sorted(_REPLAYABLE))
-            raise InvalidValue(
-                f"{event!r} cannot be replayed; an event that can has one of the verbs {verbs}"
-            )
+            raise InvalidValue(f"{event!r} cannot be replayed")
         is_caused = verb in ("request_action", "cancel_action", "select")
         keywords = {"cause": event.cause} if is_caused else {}
         try:
@@ -860,10 +856,6 @@ class KnowledgeBase:
                 return
             change.put()  # no fact is recorded meanwhile: each is of one model
             names = [str(getattr(element, "name", element)) for element in change.elements]
-            is_action = change.how == "removed" and isinstance(change.elements[0], Action)
-            if is_action and names[0] in self._records.required:
-                reason = "it is no longer in the model"
-                self._record("cancel_action", names[0], "abandoned", reason)
             words = f"{', '.join(names)} {change.how} in the model"
             self._record("amend", change.how, change.written, words=words)
 
@@ -940,13 +932,12 @@ class KnowledgeBase:
         """Return a plan of this base, given by itself or by its number."""
         plans = self._records.plans
         number = plan.number if isinstance(plan, ReconfigurationPlan) else plan
-        if number not in plans or plan not in (number, plans[number]):
-            numbers = f"{min(plans)} to {max(plans)}" if plans else "none yet"
+        own = plans.get(number)
+        if own is None or plan not in (own, number):
             raise InvalidValue(
-                f"{plan!r} is not a plan of this knowledge base; give one of kb.plans "
-                f"(numbers: {numbers})"
+                f"{plan!r} is not a plan of this knowledge base; give one of kb.plans"
             )
-        return plans[number]
+        return own
 
     def _node(self, element: ElementLike, kinds: Iterable[str]) -> Node:
         return resolve(self._state, element, kinds, unique=True)

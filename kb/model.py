@@ -14,7 +14,6 @@ can be changed while knowledge bases use it: the next question to them sees the 
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
-from functools import partial
 from pathlib import Path
 from threading import RLock
 from types import MappingProxyType
@@ -72,7 +71,7 @@ T = TypeVar("T")
 _NAMED: Final = (Action, Function, Component, FunctionDesign, Configuration, Attribute)
 
 
-_MANY: Final = ("functions", "components", "activate", "deactivate", "parameters")
+_MANY: Final = ("functions", "components")
 """The fields that name several elements."""
 
 
@@ -416,60 +415,18 @@ class Model:
                 allowed = ", ".join(checks) or "nothing"
                 raise ModelError(f"{field!r} of {kind} {name!r} cannot change; what can: {allowed}")
         values = {field: checks[field](field, name, value) for field, value in fields.items()}
-        self._amend(
-            "changed",
-            [changed],
-            partial(_set, changed, values),
-            lambda: [_reference(self, changed), _plain(self, values)],
-        )
-
-    def remove(self, element: Changeable | str) -> None:
-        """Remove an element with its constraints and the estimations that it causes.
-
-        A constraint that also applies to other elements stays on those.
-
-        Raises:
-            ModelError: other elements of the model need this one; the message names them.
-        """
-        unwanted: Changeable = self._own(
-            "what is removed", element, *_NAMED, Constraint, Estimation
-        )
-        rests: dict[Constraint, tuple[Constrainable, ...]] = {}
-        removed: list[Changeable] = [unwanted]
-        users: list[str] = []
-        for table in self._tables.values():
-            for user in table.values():
-                if isinstance(user, Constraint) and unwanted in user.constrained:
-                    rests[user] = tuple(each for each in user.constrained if each is not unwanted)
-                    if not rests[user]:
-                        removed.append(user)
-                elif isinstance(user, Estimation) and user.causer is unwanted:
-                    removed.append(user)
-                elif _refers(user, unwanted):
-                    users.append(f"{KINDS[type(user)]} {called(user)!r}")
-        if users:
-            raise ModelError(
-                f"{called(unwanted)!r} is needed by {', '.join(users)}; remove that first"
-            )
-        facts = [
-            fact for fact in self._facts if not any(_refers(fact, element) for element in removed)
-        ]
 
         def put() -> None:
-            for constraint, rest in rests.items():
-                if rest:
-                    _set(constraint, {"constrained": rest})
-            for element in removed:
-                self._tables[type(element)].pop(_key(element), None)
-            self._facts = facts
+            for field, value in values.items():
+                object.__setattr__(changed, field, value)
 
-        self._amend("removed", removed, put, lambda: _reference(self, unwanted))
+        self._amend(
+            "changed", [changed], put, lambda: [_reference(self, changed), _plain(self, values)]
+        )
 
     def amend(self, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
         """Change the model as an equal one was changed before; see `Amended`."""
-        if how == "removed":
-            self.remove(_referred(self, written))
-        elif how == "changed":
+        if how == "changed":
             reference, values = written
             self.change(_referred(self, reference), **values)
         elif written[0][0] == "constraint":
@@ -575,12 +532,9 @@ class Model:
         if not isinstance(element, classes):
             names = ", ".join(cls.__name__ for cls in classes)
             raise ModelError(f"{what} can be one of {names}; not {element!r}")
-        if isinstance(element, Element) and element.model is not self:
-            other = element.model.name
-            raise ModelError(f"{element.name!r} belongs to model {other!r}, not to {self.name!r}")
         if self._tables[type(element)].get(_key(element)) is not element:
-            what = f"{KINDS[type(element)]} {called(element)!r}"
-            raise ModelError(f"{what} is not in model {self.name!r}, or no longer")
+            which = f"{KINDS[type(element)]} {called(element)!r}"
+            raise ModelError(f"{which} is of another model, not of {self.name!r}")
         return element
 
     def _constraints(
@@ -643,11 +597,6 @@ def _key(element: Changeable) -> object:
     return element.name if isinstance(element, Element) else element
 
 
-def _set(element: Changeable, values: Mapping[str, object]) -> None:
-    for field, value in values.items():
-        object.__setattr__(element, field, value)
-
-
 def _suffix(file: Path) -> str:
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
@@ -665,20 +614,6 @@ _ABOUT: Final[Mapping[type, tuple[type, ...]]] = {
     SelectedFact: (FunctionDesign, Configuration),
 }
 """What each fact about an element can be about."""
-
-
-def _refers(described: Element | Constraint | Estimation | Fact, element: Changeable) -> bool:
-    """Return whether an element or fact holds another, or names it."""
-    checked = CHECKS.get(type(described), {})
-    for field in fields(described):
-        value = getattr(described, field.name)
-        is_preference = field.name == "preference"
-        cls: Any = Attribute if is_preference else REFERENCES.get(field.name, ())
-        held = value if isinstance(value, tuple | Mapping) else (value,)
-        is_named = isinstance(element, cls) and element.name in held
-        if field.name not in checked and (is_named or element in held):
-            return True
-    return False
 
 
 # ---------------------------------------------------------------- plain values

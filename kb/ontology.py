@@ -126,7 +126,6 @@ _TABLE: Final = """
     status            text
     key               text
     parameterValue    text
-    parameterType     text
     change            text
     verb              text
     subject           text
@@ -300,7 +299,6 @@ class _Graph:
                 nested = {"prefers": self.thing(_id("Attribute", key)), "weight": content}
                 if name == "hasParameter":
                     nested = {"key": key, "parameter_value": json.dumps(content)}
-                    nested["parameter_type"] = elements.parameter_type(content)
                 part = Individual(_RANGES[name], _id(f"{_RANGES[name]}.{own}", key), nested)
                 self.put(part)
                 yield self.thing(part.id)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, TypeGuard, TypeVar
+from typing import Any, Final, TypeVar
 
 from lark import Lark, Token, Tree, UnexpectedInput, UnexpectedToken
 
@@ -145,7 +145,9 @@ class _Builder:
 
         def resolve(variable: Token) -> Thing:
             if variable not in variables:
-                unknown = UnknownName("variable", str(variable), filter(_is_text, variables))
+                unknown = UnknownName(
+                    "variable", str(variable), [key for key in variables if isinstance(key, str)]
+                )
                 what = f"{unknown}; a type is given by `{variable} isa ...`"
                 raise _place(file, variable).error(what)
             return variables[variable]
@@ -192,6 +194,9 @@ class _Builder:
     # ---------------------------------------------------------------- a model
 
     def build(self, model: elements.Owner) -> None:
+        for kind in ("reconfiguration-plan", "component-process"):
+            for thing in self._things[kind]:
+                self._notes.append(f"{thing.place}: a model has no {kind}; ignored")
         model.notes.extend(self._notes)
         for cls, words in elements.ROSA.items():
             for thing in self._things[words.replace(" ", "-")]:
@@ -215,10 +220,6 @@ class _Builder:
                 each["attribute"] for each in stated if each["latest"]
             ]
             values.setdefault("latest", is_latest)
-        elif cls is elements.PlanFact:
-            for step in values.pop("steps", ()):
-                for name, players in step.fields.items():
-                    values[name] = [*values.get(name, ()), *players]
         values = {name: self._element(value, thing) for name, value in values.items()}
         if "preference" in values:
             values["preference"] = {each.name: 1.0 for each in values["preference"]}
@@ -248,10 +249,6 @@ class _Builder:
 
 def _place(file: str, word: Token) -> Place:
     return Place(file, word.line or 1, word.column or 1)
-
-
-def _is_text(value: object) -> TypeGuard[str]:
-    return isinstance(value, str)
 
 
 def _thing(label: Token, file: str) -> Thing:

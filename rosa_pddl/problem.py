@@ -246,7 +246,7 @@ class _Writer:
             amount = self._whole_cost(step, weight)
         elif metric is not None:
             # a step that has failed costs as much again for each try that is expected
-            amount = weight - 1 and ("*", weight - 1, _lifted(cost_of(self._domain, step)))
+            amount = weight - 1 and ("*", weight - 1, cost_of(self._domain, step))
         elif self._style == "overlapping":
             amount = weight - 1
         if not self._is_timed:
@@ -266,7 +266,7 @@ class _Writer:
         if isinstance(cost, tuple) and is_open:
             if cost[0] != "n":
                 raise UnsearchableError(f"the cost of {step.schema} is computed")
-            return _lifted(cost)
+            return cost
         value = self._values.number(cost, {})
         if value is None or value < 0:
             raise UnsearchableError(f"the cost of {step} is unknown, or less than nothing")
@@ -366,16 +366,6 @@ class _Writer:
         values = {**self._domain.numbers, **self._problem.costs}
         computed = self._domain.computed
         return {text: exact(n) for text, n in values.items() if head_of(text) not in computed}
-
-
-def _lifted(amount: Number) -> Number:
-    """Return a ground number in the form of a formula."""
-    if not isinstance(amount, tuple):
-        return amount
-    if amount[0] == "n":
-        name, *words = amount[1][1:-1].split()
-        return "n", name, tuple(words)
-    return amount[0], *(_lifted(part) for part in amount[1:])
 
 
 def merged(schema: Schema, *, has_axioms: bool) -> Schema | None:

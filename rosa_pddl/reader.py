@@ -521,6 +521,7 @@ class _Reader:
             is_root = parent.lower() == name.lower()
             above[name.lower()] = ["object" if is_root else parent.lower()]
         names.pop("object", None)
+        above.pop("object", None)
         for kind in names:
             above.setdefault(kind, ["object"])
         for kind in TopologicalSorter(above).static_order():

@@ -110,8 +110,7 @@ class Values:
             return number  # type: ignore[no-any-return]  # it is exact
         head, *parts = number
         if head == "n":
-            text = parts[0] if len(parts) == 1 else atom_text(parts[0], bound(parts[1], binding))
-            return self.value_of(text)
+            return self.value_of(atom_text(parts[0], bound(parts[1], binding)))
         values = [self.number(part, binding) for part in parts]
         if None in values or (head == "/" and 0 in values[1:]):
             return None

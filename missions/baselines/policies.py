@@ -114,10 +114,8 @@ class Unmanaged(Fixed):
         mission = opening.mission
 
         def unconstrained() -> Model:
-            model = mission.model()
-            for constraint in model.constraints:
-                model.remove(constraint)
-            return model
+            rows = mission.model().plain()
+            return Model.from_plain([row for row in rows if row[0] != "constraint"])
 
         return super().open(opening._replace(mission=replace(mission, model=unconstrained)))
 

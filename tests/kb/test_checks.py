@@ -253,13 +253,14 @@ def test_root_is_found_and_not_what_is_between():
     model = sound()
     model.configurations["day"].constrain(light_of(model) < 0.1)
     model.configurations["night"].constrain(light_of(model) < 0.1, light_of(model) > 0.2)
-    model.remove(model.designs["by sonar"])
+    model.designs["by sonar"].constrain(light_of(model) < 0.1, light_of(model) > 0.2)
     for number in range(6):
         model.action(f"look {number}", requires=["see"])
     errors = [one for one in model.check() if one.severity is Severity.ERROR]
     assert [(error.code, error.element) for error in errors] == [
         ("contradictory-constraints", "configuration day"),
         ("contradictory-constraints", "configuration night"),
+        ("contradictory-constraints", "function design by sonar"),
     ]
     assert errors[0].message.endswith(", so 7 actions can never be feasible, e.g. explore")
 

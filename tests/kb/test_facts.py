@@ -15,8 +15,6 @@ from kb import (
 from kb.elements import (
     ActiveFact,
     MeasurementFact,
-    PlanFact,
-    ProcessFact,
     RequiredActionFact,
     RequiredFact,
     SelectedFact,
@@ -109,24 +107,16 @@ def test_stated_records_that_ended_are_not_open(model):
         lambda model: SelectedFact(model.actions["explore"]),
         lambda model: RequiredFact(model.designs["by camera"]),
         lambda model: StatusFact(model.actions["explore"], "odd"),
-        lambda model: ProcessFact("camera", -4),
         lambda model: RequiredActionFact("explore", {"light": float("nan")}),
         lambda model: RequiredActionFact("explore", ["light"]),
         lambda model: RequiredActionFact("explore", result="done"),
         lambda model: MeasurementFact("light", 1.0, latest="yes"),
-        lambda model: PlanFact(activate="camera"),
     ],
 )
 def test_facts_that_make_no_sense_are_refused(model, state):
     with pytest.raises(KnowledgeBaseError):
         model.add_fact(state(model))
     assert model.facts == ()
-
-
-def test_facts_about_what_is_removed_go_with_it(model):
-    begun(model, SelectedFact(model.configurations["day"]), RequiredActionFact("explore"))
-    model.remove(model.configurations["day"])
-    assert model.facts == (RequiredActionFact("explore"),)
 
 
 def test_facts_keep_their_order_while_a_clock_is_a_little_behind(model):

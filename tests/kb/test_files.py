@@ -87,15 +87,10 @@ def odd_models(draw):
 
 def odd_facts(draw, model, some):
     """Yield facts about a model, of each kind that its elements allow."""
-    plan = [
-        tuple(some(table)) for table in (model.components, model.components, model.configurations)
-    ]
-    yield stated.PlanFact(*plan, draw(TIMES), draw(TIMES), draw(RESULTS))
     for name in some(model.attributes):
         yield stated.MeasurementFact(name, draw(FLOATS), draw(TIMES), draw(st.booleans()))
     for name in some(model.components):
         yield stated.ActiveFact(name)
-        yield stated.ProcessFact(name, draw(st.integers(1, 2**63 - 1)), draw(TIMES), draw(TIMES))
     for name in some(model.actions):
         weights = dict.fromkeys(some(model.attributes), draw(FLOATS)) or None
         yield stated.RequiredActionFact(name, weights, draw(TIMES), draw(TIMES), draw(RESULTS))

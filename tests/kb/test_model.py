@@ -104,11 +104,15 @@ REFUSED = {
     "this component configuration is not complete": lambda m: m.state(
         Configuration, {"name": "new", "parameters": {}}
     ),
-    "belongs to model 'other'": lambda m: m.action("a", requires=[OTHER.functions["see"]]),
-    "'explore' belongs to": lambda m: m.constrain(
+    "function 'see' is of another model": lambda m: m.action(
+        "a", requires=[OTHER.functions["see"]]
+    ),
+    "'explore' is of another model": lambda m: m.constrain(
         [OTHER.actions["explore"]], m.attributes["light"] >= 1
     ),
-    "'camera' belongs to": lambda m: m.add_estimation(OTHER.components["camera"], "light", 1.0),
+    "'camera' is of another model": lambda m: m.add_estimation(
+        OTHER.components["camera"], "light", 1.0
+    ),
     "compares an attribute of 'other'": lambda m: m.actions["explore"].constrain(
         OTHER.attributes["light"] >= 1
     ),

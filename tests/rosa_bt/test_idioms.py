@@ -194,19 +194,6 @@ def test_one_action_is_required_after_every_tick(moments, memory):
     assert required(kb) == []
 
 
-def test_task_whose_action_left_the_model_gives_way(kb):
-    runner = TreeRunner(
-        do_until_unfeasible(Act(kb, "search"), Act(kb, "charge")), clock=lambda: 0.0
-    )
-    runner.tick()
-    kb.model.remove(kb.model.actions["search"])
-    runner.tick()
-    assert required(kb) == ["charge"]
-    assert runner.status is Status.RUNNING
-    runner.shutdown()
-    assert history(kb) == [("search", "abandoned"), ("charge", "abandoned")]
-
-
 def analysing_after_inspecting(kb, land):
     """Prefer inspecting, which needs light here.
 

@@ -142,12 +142,11 @@ def test_a_number_that_is_not_mentioned_any_more_stays_what_it_was(roads):
 @pytest.mark.parametrize(
     ("sensed", "message"),
     [
-        ({"(toll)": True}, r"sense returned True for \(toll\), expected a number"),
+        ({"(toll)": True}, r"sense returned True for \(toll\), expected a finite number"),
         ({"(toll)": float("nan")}, r"nan for \(toll\), expected a finite number"),
-        ({"(toll)": "9"}, r"'9' for \(toll\), expected a number"),
+        ({"(toll)": "9"}, r"'9' for \(toll\), expected a finite number"),
         ({"(closed)": 1}, r"1 for \(closed\), expected True or False"),
         ({"(closed)": None}, r"None for \(closed\), expected True or False"),
-        ({3: True}, r"sense returned 3: True, expected a text"),
         (None, r"sense returned None, expected a mapping"),
     ],
 )
@@ -230,21 +229,6 @@ def test_a_planner_that_cannot_even_begin_is_a_failure_by_name(ways):
     assert world.run() is Status.FAILURE
     said = "no plan, engine crashed: RuntimeError: no process could be started; tried 4 times"
     assert world.executor.feedback_message.startswith(said)
-
-
-def test_in_real_time_a_planner_that_never_answers_is_out_of_time(ways):
-    class Silent(Answering):
-        def start(self, problem):
-            self.future = Future()
-            return self.future
-
-    planner = Silent(None)
-    world = World(ways, planner, delay_s=None)
-    assert world.run() is Status.FAILURE
-    assert world.executor.feedback_message.startswith(
-        "no plan, out of time: Silent gave no answer in 3.1 s"
-    )
-    assert planner.future.cancelled()
 
 
 # ------------------------------------------------------------------ what led to a plan, and answers that come at once

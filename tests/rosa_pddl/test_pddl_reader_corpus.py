@@ -209,7 +209,7 @@ def test_types_that_are_above_one_another_are_refused_but_one_above_itself_is_on
     two = PLAIN.replace("(:types thing)", "(:types thing - part part - thing)")
     with pytest.raises(PddlError, match="in a cycle"):
         load_text(tmp_path, two, PROBLEM)
-    itself = PLAIN.replace("(:types thing)", "(:types thing part - thing)")
+    itself = PLAIN.replace("(:types thing)", "(:types object thing part - thing)")
     assert load_text(tmp_path, itself, PROBLEM).schemas == ("go",)
 
 
