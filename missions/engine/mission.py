@@ -234,8 +234,6 @@ class Mission:
                 takes = f"is called with ({parameters}), but takes {signature(function)}"
                 title = f"{name} of mission {self.name} {takes}"
                 raise MissionError(f"{title}: {error}; give it these parameters") from error
-            except ValueError:  # not written in Python
-                continue
         if self.tree is None and self.problem is None:
             hint = "give it a tree, or a PDDL domain and problem"
             raise MissionError(f"mission {self.name} has no task: {hint}")
@@ -277,14 +275,9 @@ def built(title: str, kind: type[T], build: Callable[..., object], *arguments: o
             returned.)
     """
     with blamed(lambda: f"cannot build {title}"):
-        count = 0
-        for parameter in signature(build).parameters.values() if arguments else ():
-            is_place = parameter.kind in (
-                Parameter.POSITIONAL_ONLY,
-                Parameter.POSITIONAL_OR_KEYWORD,
-            )
-            count += is_place and parameter.default is Parameter.empty
-        result = build(*arguments[:count])
+        parameters = signature(build).parameters.values() if arguments else ()
+        required = [each for each in parameters if each.default is Parameter.empty]
+        result = build(*arguments[: len(required)])
     if isinstance(result, BehaviourTree):
         result = result.root
     if not isinstance(result, kind):

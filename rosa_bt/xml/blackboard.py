@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from contextlib import suppress
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, get_args, get_origin
 
 from py_trees.common import Status
@@ -27,7 +26,7 @@ Clock = Callable[[], float]
 
 _WHOLE = re.compile(r"-?\d+", re.ASCII)
 _NUMBER = re.compile(
-    r"\s*[-+]?(?:0x[0-9a-f]+|inf|nan|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)", re.IGNORECASE | re.ASCII
+    r"\s*[-+]?(?:inf|nan|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)", re.IGNORECASE | re.ASCII
 )
 BOOLS = {
     **dict.fromkeys(("1", "true", "TRUE", "True"), True),
@@ -81,7 +80,7 @@ def begun(text: str) -> float:
     match = _NUMBER.match(text)
     if match is None:
         raise NodeError(f"{text!r} is no number")
-    return float(int(match[0], 16)) if "x" in match[0].lower() else float(match[0])
+    return float(match[0])
 
 
 def convert(value: Value, wanted: Any) -> Value:  # noqa: ANN401  # a type of values
@@ -179,7 +178,7 @@ class Blackboard(MutableMapping[str, Any]):
 
     clock: Clock = time.monotonic
     has_own_clock = False
-    enums: Mapping[str, int] = MappingProxyType({})
+    enums: Mapping[str, int] = {}
 
     def __init__(
         self,
@@ -295,14 +294,13 @@ class Ports:
         for name, text in written.items():
             if name not in declared:
                 raise NodeError(f"it has no port {name!r}; {hint(name, declared, 'ports')}")
-            wanted = declared[name].data_type
             key = key_of(text, name)
             if key is None:
                 self.literals[name] = text
-                if wanted is not Status:  # a wrong outcome raises only in the tick
-                    self.get(name)
+                self.get(name)
                 continue
             self.keys[name] = key
+            wanted = declared[name].data_type
             entry = blackboard.make(key, wanted)
             if wanted in _ANY:
                 entry.declared = entry.declared or wanted

@@ -82,7 +82,7 @@ class Element(ElementTree.Element):
         return XmlError(self.where, problem)
 
 
-def _parse(text: str, file: str) -> Element:
+def _parse(text: str | bytes, file: str) -> Element:
     """Return the outermost element of an XML text."""
     parser = ParserCreate()
     builder = ElementTree.TreeBuilder(element_factory=Element)
@@ -180,9 +180,8 @@ class Document:
         name = name or self.root.get("main_tree_to_execute")
         if name is None:
             if len(self.trees) != 1:
-                names = ", ".join(self.trees) or "none"
                 advice = "say load_xml(..., tree=...) or write main_tree_to_execute in <root>"
-                raise self.root.error(f"which tree? There are: {names}; {advice}")
+                raise self.root.error(f"which tree? There are: {[*self.trees]}; {advice}")
             (name,) = self.trees
         return name
 
@@ -191,7 +190,7 @@ class Document:
             raise asked_by.error(f"no tree has the ID {name!r}; {hint(name, self.trees, 'trees')}")
         return self.trees[name]
 
-    def _parse(self, text: str, file: str) -> Element:
+    def _parse(self, text: str | bytes, file: str) -> Element:
         """Return the outermost element.
 
         A text that BehaviorTree.CPP reads, though it is no XML, is read with a note: raw `&&` and
@@ -200,11 +199,12 @@ class Document:
         try:
             return _parse(text, file)
         except XmlError:
-            plain = _IGNORED.sub(lambda match: "\n" * match[0].count("\n"), text)
+            written = text if isinstance(text, str) else text.decode("utf-8", "replace")
+            plain = _IGNORED.sub(lambda match: "\n" * match[0].count("\n"), written)
             escaped = _VALUE.sub(
                 lambda match: _BARE.sub("&amp;", match[0]).replace("<", "&lt;"), plain
             )
-            if escaped == text:
+            if escaped == written:
                 raise
             reasons = "& or < in attributes, -- in a comment, or a late declaration"
             self.note(file, f"read as it stands, though it is no XML: {reasons}")
@@ -216,14 +216,14 @@ class Document:
         A file is read once, even if it is included several times.
         """
         try:
-            text = path.read_text("utf-8-sig", "replace")
+            content = path.read_bytes()
         except (OSError, ValueError) as error:
             problem = f"there is no file {str(path)[:200]!r} that can be read"
             advice = "give the path of one, or the XML itself as text"
             raise XmlError(where, f"{problem}; {advice}") from error
         real = os.path.realpath(path)
         if real not in self._files:
-            self._files[real] = self._parse(text, str(path))
+            self._files[real] = self._parse(content, str(path))
             self._collect(self._files[real], path.parent)
         return self._files[real]
 

@@ -47,13 +47,12 @@ class Slot:
 
     node: Behaviour
     is_condition: bool = False
-    """Whether it is a leaf that is ticked again after it has finished; other leaves stay finished
-    until a reset."""
+    """Whether it is ticked again after it has finished; others stay finished until a reset."""
     source: tuple[str, Mapping[str, str]] | None = None
     """Tag and attributes of its element; None for a behaviour that was inserted later."""
     rules: Mapping[str, ParsedScript] = field(default_factory=dict)
     """Pre- and post-conditions, by attribute, e.g. `_skipIf`."""
-    status: Status = field(default=INVALID, init=False)
+    status: Status = INVALID
     """Kept until the parent resets it; INVALID means idle."""
 
     def tick(self) -> Ticking:
@@ -64,20 +63,17 @@ class Slot:
             self.reset()
             node.status = self.status = verdict
             yield node
-        elif isinstance(node, XmlNode):
-            if self.status is SKIPPED:
-                node.initialise()
-            if node.runs:
-                self.status = RUNNING
-            yield from node.tick()
+        else:
+            if isinstance(node, XmlNode):
+                if self.status is SKIPPED:
+                    node.initialise()
+                if node.runs:
+                    self.status = RUNNING
+            if self.is_condition or self.status not in DONE:
+                yield from node.tick()
             verdict = node.status
             if verdict is not SKIPPED:  # a skipped node keeps its status until it is reset
                 self.status = verdict
-        else:
-            if self.is_condition or self.status not in DONE:
-                yield from node.tick()
-                self.status = node.status
-            verdict = self.status
         if verdict in DONE:
             self._follow("_onSuccess" if verdict is SUCCESS else "_onFailure")
             self._follow("_post")
@@ -227,11 +223,12 @@ class Branch(OneChild, is_node=False):
 
 
 def is_plain(leaf: Behaviour) -> bool:
-    """Tell whether a leaf has neither `initialise` nor `terminate`, so it is a condition."""
+    """Tell whether it is a node, or has neither `initialise` nor `terminate`, as conditions."""
     kind = type(leaf)
     hooks = (kind.initialise, kind.terminate)
     has_hooks = hooks != (Behaviour.initialise, Behaviour.terminate)
-    return not (has_hooks or leaf.children or isinstance(leaf, RosaAction))
+    is_other = has_hooks or leaf.children or isinstance(leaf, RosaAction)
+    return isinstance(leaf, XmlNode) or not is_other
 
 
 class AlwaysSuccess(Named):

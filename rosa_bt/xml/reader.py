@@ -14,7 +14,7 @@ from rosa_bt.behaviours import ActionBehaviour, HasStatus, IsActionFeasible, Mea
 from rosa_bt.composites import DoUntilUnfeasible
 from rosa_bt.decorators import Clock, ClockFollower, ForAction, Retry, UntilSuccess
 from rosa_bt.exceptions import RegistryError, RosaBtError, XmlError, hint, in_words
-from rosa_bt.xml.blackboard import Blackboard, Declared, NodeError, Ports, convert, key_of
+from rosa_bt.xml.blackboard import Blackboard, Declared, Ports, convert, key_of
 from rosa_bt.xml.document import MARKS, Document, Element
 from rosa_bt.xml.nodes import NODES, RULES, Branch, Slot, is_plain
 from rosa_bt.xml.scripts import parse_script
@@ -290,16 +290,23 @@ class _Builder:
                 problem = f"{type(behaviour).__name__} keeps no attribute {name!r}; declare a port"
                 text = f"{name}={written[name]!r} is not read: {problem}"
                 self._document.note(element.where, text)
+        initialise = behaviour.initialise
+
+        def read_and_initialise() -> None:
+            for name in late:
+                if ports.exists(name):
+                    vars(behaviour)[name] = ports.get(name)
+            initialise()
+
         if late:
-            _read_at_start(behaviour, ports, late)
+            vars(behaviour)["initialise"] = read_and_initialise
         if isinstance(behaviour, PortsMixin):
             ports.connect(behaviour)
         if isinstance(behaviour, ActionBehaviour) and "action" not in ports.keys:
-            name = behaviour.action
-            behaviour.kb.is_feasible(name)  # raises now, not during a mission, if it is unknown
-            if ports.literals.get("action", name) != name:
-                problem = f"the constructor says already that 'action' is {name!r}"
-                raise NodeError(f"{problem}; leave action=... out")
+            action = behaviour.action
+            behaviour.kb.is_feasible(action)  # raises now, if it is unknown
+            if ports.literals.get("action", action) != action:
+                raise element.error(f"its class does {action!r} already; leave action=... out")
         return behaviour
 
     def _is_condition(self, element: Element, node: Behaviour) -> bool:
@@ -314,19 +321,14 @@ class _Builder:
         tree = element.needed("ID")
         _check_children(element, 0, 0)
         autoremap = convert(element.get("_autoremap", "false"), bool)
-        defaults = {} if autoremap else self._defaults(element, tree)
-        board = Blackboard(around, {**defaults, **element.ports}, autoremap=autoremap)
-        return self.tree(tree, element, element.get("name"), board)
-
-    def _defaults(self, element: Element, tree: str) -> dict[str, str]:
-        """Return the values of ports that the model of a tree gives."""
+        ports = element.ports
         model = self._document.models.get(tree, element)
-        defaults = {}
-        for port in model.children:
+        for port in model.children if not autoremap else ():
             name = port.get("name", "")
-            if port.tag.endswith("_port") and name not in element.ports:
-                defaults[name] = port.needed("default")
-        return defaults
+            if port.tag.endswith("_port") and name not in ports:
+                ports[name] = port.needed("default")
+        board = Blackboard(around, ports, autoremap=autoremap)
+        return self.tree(tree, element, element.get("name"), board)
 
     def _unknown(self, tag: str) -> str:
         if tag in MARKS:
@@ -334,19 +336,6 @@ class _Builder:
         if tag in self._document.trees:
             return f'<{tag}> is a tree; write <SubTree ID="{tag}"/>'
         return f"<{tag}> is unknown; {hint(tag, [*self._registry.entries, *NODES], 'nodes')}"
-
-
-def _read_at_start(behaviour: Behaviour, ports: Ports, names: Iterable[str]) -> None:
-    """Let a behaviour read its attributes that are keys before each `initialise`."""
-    initialise = behaviour.initialise
-
-    def read_and_initialise() -> None:
-        for name in names:
-            if ports.exists(name):
-                vars(behaviour)[name] = ports.get(name)
-        initialise()
-
-    vars(behaviour)["initialise"] = read_and_initialise
 
 
 def ports_of(behaviour: Behaviour) -> Declared:

@@ -69,7 +69,7 @@ NO_FILES = {
     "<root": "<text>:1: it is no XML",
     "<root>\n<BehaviorTree>\n</root>": "<text>:3: it is no XML: mismatched tag",
     "<tree/>": "the outermost element is <root>, not <tree>",
-    "<root/>": "which tree? There are: none",
+    "<root/>": "which tree? There are: []",
     root(tree("Sequence")): "'Sequence' is the name of a node",
     root(tree("A"), "\n<BehaviorTree ID='B'/>"): "2: a tree has one child, not 0",
     root(
@@ -80,7 +80,7 @@ NO_FILES = {
     ): "<input_port> has no default; write default=... in it",
     root("<BehaviorTree><a/></BehaviorTree>" * 2): "<BehaviorTree> has no ID",
     root(tree("A"), "\n", tree("A")): "<text>:2: 'A' is defined twice, first in <text>:1",
-    root(tree("A"), tree("B")): "which tree? There are: A, B",
+    root(tree("A"), tree("B")): "which tree? There are: ['A', 'B']",
     root(tree("A"), main="C"): "no tree has the ID 'C'",
     root("<include ros_pkg='nav' path='x.xml'/>"): "there is no file 'share/nav/x.xml'",
     root("<include path='there_is_none.xml'/>"): "there is no file",
