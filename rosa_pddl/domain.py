@@ -39,7 +39,6 @@ Variables: TypeAlias = tuple[tuple[str, str], ...]
 """Variables with their types."""
 
 TRUE: Formula = ("and",)
-FALSE: Formula = ("or",)
 
 _NAME = re.compile(r"[A-Za-z][\w.-]*", re.ASCII)
 

@@ -626,16 +626,15 @@ class Replanning:
             reasons: Reasons = concluded.value
             done = self._monitor.holding(reasons.reachable, state)
             if not self._is_last_try and len(done) < len(reasons.reachable):
-                self._leave_out([goal for goal in self.hard if goal not in reasons.reachable], why)
+                self._leave_out([goal for goal in self.hard if goal not in reasons.reachable])
             else:
                 self._conclude(replace(problem, state=state), [why, *reasons.sentences])
 
-    def _leave_out(self, goals: Sequence[Goal], why: str) -> None:
+    def _leave_out(self, goals: Sequence[Goal]) -> None:
         """Leave out goals for now, and plan for the others."""
         self.left_out = (*self.left_out, *goals)
         names = ", ".join(goal.text for goal in goals)
         self.want(f"{names} out of reach for now; the others first")
-        _LOG.info("%s left out: %s", names, why)
 
     def _conclude(self, problem: Problem, why: Sequence[str]) -> None:
         sentences = [*why, *map(str, self._effects.unmet)]

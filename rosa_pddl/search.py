@@ -88,11 +88,10 @@ class Graph(Protocol[S, T]):
 
 
 class Path(NamedTuple, Generic[S, T]):
-    """A cheapest path with its cost and usage."""
+    """A cheapest path with its cost."""
 
     moves: tuple[Move[S, T], ...]
     cost: Any
-    uses: tuple[Any, ...]
 
 
 class _Label(NamedTuple, Generic[S, T]):
@@ -133,7 +132,7 @@ def cheapest(
         if _is_dominated(uses, front):
             continue
         if graph.is_goal(label.state):
-            return Path(_moves(label), label.spent[0], uses)
+            return Path(_moves(label), label.spent[0])
         front[:] = [uses, *(other for other in front if not _is_dominated(other, [uses]))]
         go_on()
         for move in graph.moves(label.state):
