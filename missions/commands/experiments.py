@@ -123,7 +123,7 @@ def report(
 
 
 def learn(
-    runs: Annotated[list[Path], Argument(help="Recordings, and folders of campaigns.")],
+    runs: Annotated[list[Path], Argument(help="Recordings.")],
     model: Annotated[str, Option(help=ROBOT)],
 ) -> None:
     """Compare a model with runs: rates and durations, each with its interval."""

@@ -16,9 +16,7 @@ from kb import Event, Model
 from kb.elements import Attribute, AttributeKind
 from kb.forecast import Series, slope_of
 from missions.engine.mission import MissionError, needs
-from missions.engine.runner import RosaRun
 from missions.experiments.comparison import mean_of
-from missions.experiments.results import FILE, Results
 from missions.wires.mcap import read_bag
 
 _ROUNDING: Final = 1e-6  # least relative half width of an interval, as times and values are rounded
@@ -185,28 +183,14 @@ def _durations(runs: Runs) -> Iterator[Learned]:
 
 
 def read_runs(paths: Iterable[Path]) -> Runs:
-    """Read recordings, and repeat the runs of campaigns.
+    """Read recordings.
 
     Raises:
         MissionError: nothing can be learned from one of them; the message says why.
     """
     runs: dict[str, Sequence[Event]] = {}
     for path in paths:
-        is_campaign = (path / FILE).exists()
-        read = _campaign(path) if is_campaign else {path.name: read_bag(path).events}
-        if not any(read.values()):
+        runs[path.name] = read_bag(path).events
+        if not runs[path.name]:
             raise MissionError(f"{path} holds no run in which a knowledge base knew what was done")
-        runs |= read
-    return runs
-
-
-def _campaign(path: Path) -> dict[str, Sequence[Event]]:
-    results = Results(path)
-    left = results.left(retry=True)
-    runs: dict[str, Sequence[Event]] = {}
-    for run in results.campaign.planned():
-        opened = run.open() if run not in left else None
-        if isinstance(opened, RosaRun):
-            opened.run()
-            runs[run.name] = list(opened.kb.log)
     return runs

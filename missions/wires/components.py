@@ -48,7 +48,6 @@ class BridgeSettings:
         components: for each name its node, e.g. "/camera"; a lifecycle component that is not named
             here is the node with its own name.
         diagnostics: what the statuses of a name mean, by pattern; see `kb.DiagnosticRules`.
-        diagnostics_topic: empty for none.
         timeout_s: how long a call of a node may take [s].
         timeouts: the same for single components, by name [s].
         poll_s: the period at which each node is asked for its state [s].
@@ -61,7 +60,6 @@ class BridgeSettings:
     attributes: Mapping[str, str] = field(default_factory=dict)
     components: Mapping[str, str] = field(default_factory=dict)
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
-    diagnostics_topic: str = "/diagnostics"
     timeout_s: float = TIMEOUT_S
     timeouts: Mapping[str, float] = field(default_factory=dict)
     poll_s: float = 1.0

@@ -172,7 +172,7 @@ class RclpyNode(Node):
 
     def subscribe(self, topic: str, kind: str, hearer: Heard) -> None:
         def take(thing: Any) -> None:  # noqa: ANN401  # an object of rclpy
-            self._hand_on(thing, lambda thing: hearer(to_message(thing)))
+            self._hand_on(topic, thing, lambda thing: hearer(to_message(thing)))
 
         reader = _Reader(topic, self.types.find(kind), take)
         with self._lock:

@@ -361,7 +361,7 @@ class Rosbridge(Node):
     def _hear(self, message: Message) -> None:
         if message["op"] == "publish":
             for hearer in self._hearers[message["topic"]]:
-                self._hand_on(message.get("msg", {}), hearer)
+                self._hand_on(message["topic"], message["msg"], hearer)
         elif message["op"] == "service_response":
             call = self._calls[message["id"]]
             values = message["values"]

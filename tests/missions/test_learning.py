@@ -68,24 +68,20 @@ def test_spread_of_one_observation_has_no_interval():
     assert "no interval" in str(Spread.of([1.0]))
 
 
-def test_learn_command_reads_recordings_and_campaigns(tmp_path, capsys, monkeypatch):
+def test_learn_command_reads_recordings(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "two.toml").write_text(
-        'missions = ["suave_extended"]\nmanagers = ["ours", "bt"]\nruns = 1\nfirst_seed = 7\n'
-        "settings = { duration_s = 130 }\n"
-    )
-    campaign = ("campaign", "two.toml", "--workers", "1", "--out", "two")
-    assert called(capsys, monkeypatch, *campaign)[0] == 0
     run = ("run", "suave_extended", "--no-progress", "--set", "duration_s=130")
-    assert called(capsys, monkeypatch, *run, "--record", "run.mcap")[0] == 0
+    for seed in ("7", "8"):
+        record = ("--record", f"{seed}.mcap", "--seed", seed)
+        assert called(capsys, monkeypatch, *run, *record)[0] == 0
     code, out, _ = called(
-        capsys, monkeypatch, "learn", "run.mcap", "two", "--model", "suave_extended"
+        capsys, monkeypatch, "learn", "7.mcap", "8.mcap", "--model", "suave_extended"
     )
     assert code == 0
     assert "rate: battery_level, always [1/s]: -0.005 (-0.005 to -0.005, 2 observations)" in out
     for wrong, words in (
         (("learn", "nothing.mcap", "--model", "suave_extended"), "nothing.mcap"),
-        (("learn", "run.mcap", "--model", "uav"), "no action of uav"),
+        (("learn", "7.mcap", "--model", "uav"), "no action of uav"),
     ):
         code, _, err = called(capsys, monkeypatch, *wrong)
         assert code != 0
