@@ -10,10 +10,19 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from kb.elements import KINDS, Constraint, Element, Owner, RequiredActionFact, listed, text
+from kb.elements import (
+    KINDS,
+    Attribute,
+    Constraint,
+    Element,
+    Owner,
+    RequiredActionFact,
+    listed,
+    text,
+)
 from kb.exceptions import UnknownName
 from kb.network import Network, Node
-from kb.remedies import FALSE, Interval, Requirements, bounds
+from kb.remedies import Interval, Requirements, bounds
 
 QUICK: Final = 4
 """How many alternatives suffice to see that an element is possible."""
@@ -209,12 +218,13 @@ def _contradictions(network: Network) -> Iterator[Finding]:
     A finding names the actions that its root makes impossible; what is between has no findings.
     """
     quick = Requirements(limit=QUICK)
-    requirements = Requirements()
     impossible: dict[Node, None] = {}
     for node in network.present():
         is_element = node.kind not in ("attribute", "constraint")
-        if is_element and not quick.of(node).conjunctions and requirements.of(node) == FALSE:
-            impossible[node] = None
+        if is_element and not quick.of(node):
+            requirements = Requirements()
+            if not requirements.of(node) and requirements.are_all:
+                impossible[node] = None
     for node in impossible:
         broken = [part in impossible for part in node.requires]
         is_consequence = any(broken) and (all(broken) or node.kind != "component")
@@ -226,7 +236,7 @@ def _contradictions(network: Network) -> Iterator[Finding]:
             message = f"{node} has no design{_consequence(node, impossible)}"
             yield finding_of("function-without-designs", node, message)
         elif not contradictions and not is_consequence and node.kind != "function":
-            conflict = f"{_conflict(node, requirements)}{_consequence(node, impossible)}"
+            conflict = f"{_conflict(node)}{_consequence(node, impossible)}"
             yield finding_of("never-feasible", node, f"{node} can never be feasible: {conflict}")
 
 
@@ -252,15 +262,15 @@ def _consequence(node: Node, impossible: Collection[Node]) -> str:
     return f", so action {listing(actions)} can never be feasible" if actions else ""
 
 
-def _conflict(node: Node, requirements: Requirements) -> str:
+def _conflict(node: Node) -> str:
     """Name the needs of an element, with their intervals if there is only one way to meet them."""
     needs = [f"its own constraint {constraint.name}" for constraint in node.constraints]
     if node.kind == "component":
         needs.append("each of its configurations")
     for part in node.requires if node.kind != "component" else ():
-        ways = requirements.of(part).conjunctions
+        ways = Requirements().of(part)
         only = ways[0] if len(ways) == 1 else {}
-        bounded = [only[name].text(name) for name in only if isinstance(name, str)]
+        bounded = [only[what].text(what.name) for what in only if isinstance(what, Attribute)]
         needs.append(f"{part} ({' and '.join(bounded)})" if bounded else str(part))
     return f"{listing(needs, 8)} cannot be met together, whatever is measured"
 

@@ -1,7 +1,7 @@
 """Carries out reconfiguration plans on the managed system, without waiting."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
@@ -12,6 +12,7 @@ from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import Looking, ManagedSystem, check_methods, look, words_of, wrong_answer
 from kb.network import Network, Node
 from kb.records import Attempt, ReconfigurationPlan
+from kb.state import State
 from kb.status import Status
 
 _METHODS: Final = {
@@ -96,7 +97,7 @@ class StagedExecutor:
         self._hold = hold
         self._plan: ReconfigurationPlan | None = None
         self._network: Network | None = None
-        self._stages: Iterator[list[_Command]] = iter(())
+        self._stages: list[list[_Command]] = []
         self._stage: list[_Command] = []
         self._failed: set[str] = set()
         self._paused: list[str] = []
@@ -109,82 +110,84 @@ class StagedExecutor:
             ProtocolError: a method of the managed system returned a value that the protocol does
                 not allow; the command is abandoned, and given again at the next turn.
         """
-        plan = kb.pending_plan
+        plans = kb.history.open_plans
+        plan = plans[-1] if plans else None
         with kb.reading() as state:
-            network = state.network
-        if self._is_under_way or plan is not self._plan or network is not self._network:
-            self._begin(kb, plan)
-            self._network = network
+            is_new = plan is not self._plan or state.network is not self._network
+            if is_new or self._is_under_way:
+                self._begin(kb, state, plans)
         if plan is not None:
             self._is_under_way = True
             self._advance(kb, plan)
             self._is_under_way = False
 
-    def _begin(self, kb: KnowledgeBase, plan: ReconfigurationPlan | None) -> None:
-        """Begin with the stages of a plan, after the commands under way are abandoned."""
-        for command in self._stage:
-            command.cancel()
-        for attempt in kb.history.attempts:
-            if attempt.end is None:
-                reason = "it was interrupted before its answer was known"
-                kb.finish_attempt(attempt, "abandoned", reason)
+    def _begin(self, kb: KnowledgeBase, state: State, plans: Sequence[ReconfigurationPlan]) -> None:
+        """Begin with the stages of the latest plan, after commands under way are abandoned."""
+        if self._is_under_way or self._stage:
+            for command in self._stage:
+                command.cancel()
+            for attempt in kb.history.attempts:
+                if attempt.end is None:
+                    reason = "it was interrupted before its answer was known"
+                    kb.finish_attempt(attempt, "abandoned", reason)
+        plan = plans[-1] if plans else None
         if plan is not self._plan:
             self._failed = set()
             self._paused = []
         self._plan = plan
+        self._network = state.network
         self._stage = []
-        if plan is not None:
-            self._stages = self._staged(kb, plan)
+        if plan is None:
+            return
+        running = []
+        for name in [name for open_plan in plans for name in open_plan.parameters]:
+            part = state.network.configurations.get(name)
+            if part in state.selected and part.used_by[0] in state.active:
+                running.append(part.used_by[0].name)
+                if part.used_by[0].element.stops_to_configure:
+                    self._paused.append(part.used_by[0].name)
+        self._paused = [name for name in self._paused if name not in plan.deactivate]
+        started = [*plan.activate, *self._paused]
+        self._stages = [
+            self._commands(state, "deactivate", [*plan.deactivate, *self._paused]),
+            self._commands(state, "configure", [*running, *started]),
+            self._commands(state, "activate", started),
+        ]
+
+    def _commands(self, state: State, operation: str, names: Iterable[str]) -> list[_Command]:
+        """Return commands to those components that are in the model."""
+        commands = []
+        for name in dict.fromkeys(names):
+            node = state.network.components.get(name)
+            if node is None:
+                continue
+            configurations: list[Configuration | None] = [None]
+            if operation == "configure":
+                parts = [part for part in node.requires if part in state.selected]
+                configurations = [part.element for part in parts]
+            for configuration in configurations:
+                command = _Command(node.element, operation, configuration, self._back_off)
+                commands.append(command)
+        return commands
 
     def _advance(self, kb: KnowledgeBase, plan: ReconfigurationPlan) -> None:
+        now = kb.now
         while True:
             self._stage = [
-                command for command in self._stage if not self._has_ended(kb, plan, command)
+                command for command in self._stage if not self._has_ended(kb, plan, command, now)
             ]
             if self._stage:
                 return
-            stage = next(self._stages, None)
-            if stage is None:
+            if not self._stages:
                 break
-            self._stage = stage
+            self._stage = [
+                command
+                for command in self._stages.pop(0)
+                if command.operation == "deactivate" or command.component.name not in self._failed
+            ]
         if self._failed:
             self._give_up_designs(kb, plan)
         kb.finish_plan(plan, "failed" if self._failed else "completed")
-
-    def _staged(self, kb: KnowledgeBase, plan: ReconfigurationPlan) -> Iterator[list[_Command]]:
-        """Yield the stages of a plan; the commands of each are decided when it begins."""
-        running = []
-        with kb.reading() as state:
-            for open_plan in kb.history.open_plans:
-                for name in open_plan.parameters:
-                    part = state.network.configurations.get(name)
-                    if part in state.selected and part.used_by[0] in state.active:
-                        running.append(part.used_by[0].name)
-                        if part.used_by[0].element.stops_to_configure:
-                            self._paused.append(running[-1])
-        self._paused = [name for name in self._paused if name not in plan.deactivate]
-        started = [*plan.activate, *self._paused]
-        yield self._commands(kb, "deactivate", [*plan.deactivate, *self._paused])
-        yield self._commands(kb, "configure", [*running, *started])
-        yield self._commands(kb, "activate", started)
-
-    def _commands(self, kb: KnowledgeBase, operation: str, names: Iterable[str]) -> list[_Command]:
-        """Return commands to components; one that has failed is only deactivated."""
-        commands = []
-        with kb.reading() as state:
-            for name in dict.fromkeys(names):
-                node = state.network.components.get(name)
-                if node is None or (name in self._failed and operation != "deactivate"):
-                    continue
-                configurations = [None]
-                if operation == "configure":
-                    parts = [part for part in node.requires if part in state.selected]
-                    configurations = [part.element for part in parts]
-                commands += [
-                    _Command(node.element, operation, configuration, self._back_off)
-                    for configuration in configurations
-                ]
-        return commands
 
     def _give_up_designs(self, kb: KnowledgeBase, plan: ReconfigurationPlan) -> None:
         """Unselect what was started in vain: each plan would start it again."""
@@ -200,7 +203,9 @@ class StagedExecutor:
 
     # ---------------------------------------------------------------- a command
 
-    def _has_ended(self, kb: KnowledgeBase, plan: ReconfigurationPlan, command: _Command) -> bool:
+    def _has_ended(
+        self, kb: KnowledgeBase, plan: ReconfigurationPlan, command: _Command, now: float
+    ) -> bool:
         """Give a command if it is due, take in its result, and return whether it has ended."""
         is_switch = command.configuration is None
         name = command.component.name
@@ -209,17 +214,17 @@ class StagedExecutor:
         while not (is_switch and command.component.kind is ComponentKind.PLAIN):
             attempt = command.attempt
             if attempt is None or attempt.end is not None:
-                if kb.now < command.due:
+                if now < command.due:
                     return False
                 attempt = self._give(kb, plan, command)
-            outcome = self._outcome(command, kb.now - attempt.start)
+            outcome = self._outcome(command, now - attempt.start)
             if outcome is None:
                 return False
             result, reason = outcome
             kb.finish_attempt(attempt, result, reason)
             if result == "completed" or command.count >= self._attempts:
                 break
-            command.due = kb.now + command.pause
+            command.due = now + command.pause
             command.pause *= 2.0
         if result == "failed":
             self._failed.add(name)

@@ -6,20 +6,25 @@ A status is explained by a chain down to the facts, as data and as a sentence.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
-from typing import Final
+from typing import Final, NamedTuple
 
-from kb.debounce import turning_point
-from kb.elements import Action, Attribute, exact
+from kb.elements import Action, exact
 from kb.network import Node
-from kb.planning import choice_by_priority, ranked
-from kb.remedies import Remedy, remedies
+from kb.planning import ranked
+from kb.remedies import Conjunction, remedies
 from kb.state import NO_REASON, State
 from kb.status import IMPOSSIBLE, OPERATORS, Status
 
 _MOST: Final = 4
 """The most causes of one status that a sentence names; it only counts the others."""
-_MOST_REMEDIES: Final = 3
 _ERRORS: Final = (Status.CONFIGURATION_ERROR, Status.IMPLICIT_CONFIGURATION_ERROR)
+_CAUSING: Final = {
+    Status.UNFEASIBLE: IMPOSSIBLE,
+    Status.CONFIGURATION_ERROR: {Status.UNFEASIBLE},
+    Status.IMPLICIT_CONFIGURATION_ERROR: _ERRORS,
+    Status.UNSOLVED: set(Status) - {Status.SOLVED},
+}
+"""The statuses of parts that lead to a status."""
 _POSSIBLE: Final = {
     "action": "none of its constraints is violated and none of its functions is unfeasible",
     "function": "it has a design that is not unfeasible",
@@ -43,8 +48,6 @@ class Explanation:
             together.
         reason: why, in the words given with the asserted status or the reported failure; may be
             empty.
-        choice: for a selected design or configuration, why, in the words given with the selection;
-            may be empty.
         remedies: for an element that is unfeasible or in failure, the smallest sets of facts that
             would make it feasible; only for the element that was asked about, not for its causes.
         has_all_remedies: there are no other remedies.
@@ -56,8 +59,7 @@ class Explanation:
     fact: str = ""
     reasons: "Reasons" = field(default=(), repr=False)
     reason: str = ""
-    choice: str = ""
-    remedies: tuple[Remedy, ...] = ()
+    remedies: tuple[Conjunction, ...] = ()
     has_all_remedies: bool = True
 
     @property
@@ -78,8 +80,7 @@ class Explanation:
         return self.text(self.name)
 
     def __str__(self) -> str:
-        selected = f"; why it was selected: {self.choice}" if self.choice else ""
-        return self.sentence + self._help() + selected
+        return self.sentence + self._help()
 
     def _repr_html_(self) -> str:
         return f"{_unfolding(self)}<p>{escape(self._help()[2:])}</p>"
@@ -96,15 +97,10 @@ class Explanation:
     def _help(self) -> str:
         if self.status not in IMPOSSIBLE or self.kind == "constraint":
             return ""
-        if not self.remedies:
-            nothing = "; nothing that can be measured or repaired would make it feasible"
-            return nothing if self.has_all_remedies else ""
-        texts = [str(remedy) for remedy in self.remedies[:_MOST_REMEDIES]]
-        rest = len(self.remedies) - len(texts)
-        if rest:
-            texts.append(f"{rest} more" if self.has_all_remedies else f"at least {rest} more")
-        is_long = any(len(remedy.facts) > 1 for remedy in self.remedies)
-        return f"; it would be feasible with {(', or ' if is_long else ' or ').join(texts)}"
+        if self.remedies:
+            return f"; it would be feasible with {', or '.join(_first(map(str, self.remedies)))}"
+        nothing = "; nothing that can be measured or repaired would make it feasible"
+        return nothing if self.has_all_remedies else ""
 
     def _causes_in_words(self) -> str:
         reasons = []
@@ -164,112 +160,67 @@ class _Explainer:
             is_constraint = node.kind == "constraint"
             subject = f"{node.name} is asserted {status}" if is_constraint else "it is asserted so"
             fact = f"{subject}{assertion}"
-        elif status is None:
-            users = [
-                f"{user} needs {constraint.name}: {state.status[constraint]}"
-                for constraint in node.constraints
-                for user in constraint.used_by
-            ]
-            words = _first(users or ["no constraint compares it"], "more constraints")
-            fact = "; ".join([self._measurement(node), *words])
-            groups = [[constraint] for constraint in node.constraints]
-        elif node.kind == "constraint":
-            fact = self._comparison(node, status)
+        elif node.kind in ("attribute", "constraint"):
+            fact = self._measurement(node, status)
         else:
-            fact, groups = self._causes(node, status)
+            fact, groups = self._causes(node, state.status[node])
             reason = state.reason("failed", node).text if status is Status.FAILURE else ""
-        choice = state.reasons.get(("selected", node), NO_REASON).text
-        reasons = tuple(tuple(map(self.status, group)) for group in groups if group)
-        return Explanation(node.kind, node.name, status, fact, reasons, reason, choice)
+        reasons = tuple(tuple(map(self.status, group)) for group in groups)
+        return Explanation(node.kind, node.name, status, fact, reasons, reason)
 
     def _causes(self, node: Node, status: Status) -> tuple[str, list[list[Node]]]:
         """Return the fact, and the nodes of each reason, of an inferred status."""
         state = self._state
+        causing = _CAUSING.get(status, ())
         has_choices = node.kind in ("function", "component")
         parts = node.requires
-        if has_choices:
+        if has_choices and status is not Status.UNFEASIBLE:
             parts = [part for part in parts if part in state.selected]
-
-        def each(nodes: Iterable[Node], *statuses: Status) -> list[list[Node]]:
-            return [[part] for part in nodes if state.status[part] in statuses]
-
-        if status is Status.UNFEASIBLE:
-            groups = each(node.constraints, Status.VIOLATED)
-            impossible = each(node.requires, *IMPOSSIBLE)
-            if not has_choices:
-                groups += impossible
-            elif len(impossible) == len(node.requires):
-                groups.append(list(node.requires))
-            return "" if groups[0] else "it has no design", groups
-        if status is Status.CONFIGURATION_ERROR:
-            return "", each(parts, Status.UNFEASIBLE)
-        if status is Status.IMPLICIT_CONFIGURATION_ERROR:
-            return "", each(parts, *_ERRORS)
-        if status is Status.SOLVED:
-            return "it is required, and all that it needs is in place", []
-        if status is not Status.UNSOLVED:  # a failure needs no further reason
-            return _POSSIBLE[node.kind] if status is Status.FEASIBLE else "", []
-        if node.kind == "component" and node not in state.active:
+        is_inactive = node.kind == "component" and node not in state.active
+        if status is Status.UNSOLVED and is_inactive:
             return f"it is required and not active{state.reason('active', node)}", []
-        if node.kind == "component" or not parts:
+        if status is Status.UNSOLVED and has_choices and not parts:
             kind = "configurations" if node.kind == "component" else "designs"
             return f"none of its {kind} is selected{state.reason('unselected', node)}", []
-        if node.kind == "function":
-            return "", [list(parts)]
-        return "", [[part] for part in parts if state.status[part] is not Status.SOLVED]
+        if status is Status.SOLVED:
+            return "it is required, and all that it needs is in place", []
+        if status is Status.FEASIBLE:
+            return _POSSIBLE[node.kind], []
+        groups = [[part] for part in node.constraints if state.status[part] in causing]
+        bad = [part for part in parts if state.status[part] in causing]
+        if not has_choices:
+            groups += [[part] for part in bad]
+        elif bad and len(bad) == len(parts):
+            groups.append(bad)
+        is_without = status is Status.UNFEASIBLE and not groups
+        return "it has no design" if is_without else "", groups
 
-    def _measurement(self, attribute: Node) -> str:
+    def _measurement(self, node: Node, status: Status | None) -> str:
+        """Say what an attribute is, or whether that satisfies a constraint."""
         state = self._state
+        attribute = node if status is None else node.requires[0]
+        constraints = attribute.constraints if status is None else [node]
         value = state.value.get(attribute)
         if value is None:
             return f"{attribute.name} is not measured"
-        thresholds = [constraint.element.value for constraint in attribute.constraints]
-        shown = reading(value, thresholds, attribute)
         time = state.time.get(attribute)
+        shown = reading(value, [each.constraint.value for each in constraints], attribute)
         if attribute in state.stale:
             return f"{attribute.name} {shown} {staleness(time, attribute, self._now)}"
-        return f"{attribute.name} is {shown} ({_age(time, self._now)})"
-
-    def _comparison(self, node: Node, status: Status) -> str:
-        state = self._state
-        attribute = node.requires[0]
-        constraint = node.constraint
-        time = state.time.get(attribute)
+        age = _age(time, self._now)
+        if status is None:
+            return f"{attribute.name} is {shown} ({age})"
         forecast = state.reasons.get(("forecast", attribute), NO_REASON).text
         if time is None and forecast:
             is_violated = status is Status.VIOLATED
             return f"{forecast}; that makes {node.name} violated" if is_violated else forecast
-        value = state.value.get(attribute)
-        bound = f"{constraint.operator} {node.attribute.amount(exact(constraint.value))}"
-        if value is None:
-            return f"{attribute.name} is not measured (wanted {bound})"
-        shown = f"{attribute.name} {reading(value, (constraint.value,), attribute)}"
-        if attribute in state.stale:
-            return f"{shown} {staleness(time, attribute, self._now)}"
-        if status is Status.NOT_EVALUATED:
-            return f"{shown} is not confirmed: {_votes(node.attribute)} have to agree"
+        constraint = node.constraint
+        bound = f"{constraint.operator} {attribute.attribute.amount(exact(constraint.value))}"
         holds = OPERATORS[constraint.operator](value, constraint.value)
-        verb = "satisfies" if holds else "violates"
-        fact = f"{shown} {verb} {bound} ({_age(time, self._now)})"
-        if holds == (status is Status.SATISFIED):
+        fact = f"{attribute.name} {shown} {'satisfies' if holds else 'violates'} {bound} ({age})"
+        if status is (Status.SATISFIED if holds else Status.VIOLATED):
             return fact
-        return f"{fact}, but {bound} stays {status} {_debouncing(value, node, status)}"
-
-
-def _debouncing(value: float, node: Node, verdict: Status) -> str:
-    """Say how long a debounced constraint keeps its status against the measurement."""
-    constraint = node.constraint
-    attribute = node.attribute
-    turn = turning_point(constraint, verdict)
-    beyond = f"{constraint.operator} {attribute.amount(exact(turn))}"
-    is_beyond = verdict is Status.SATISFIED or OPERATORS[constraint.operator](value, turn)
-    words = [f"for {exact(constraint.dwell)} s at least"] if constraint.dwell else []
-    if attribute.agreement != (1, 1):
-        change = "say otherwise" if is_beyond else f"are {beyond}"
-        words.append(f"until {_votes(attribute)} {change}")
-    elif not is_beyond:
-        words.append(f"until {attribute.name} {beyond}")
-    return ", and ".join(words)
+        return f"{fact}, but it is debounced, and {status} so far"
 
 
 def reading(value: float, thresholds: Iterable[float], attribute: Node) -> str:
@@ -303,16 +254,12 @@ def staleness(time: float | None, attribute: Node, now: float) -> str:
     return f"is stale: {_age(time, now)}, {limit}"
 
 
-def _votes(attribute: Attribute) -> str:
-    return "{} of the last {} measurements".format(*attribute.agreement)
-
-
-def _first(texts: Iterable[str], rest: str = "more") -> list[str]:
+def _first(texts: Iterable[str]) -> list[str]:
     """Return the first different texts, and the number of the others."""
     unique = list(dict.fromkeys(texts))
     if len(unique) <= _MOST:
         return unique
-    return [*unique[: _MOST - 1], f"{len(unique) - _MOST + 1} {rest}"]
+    return [*unique[: _MOST - 1], f"{len(unique) - _MOST + 1} more"]
 
 
 # -------------------------------------------------------------------- why a plan is made
@@ -371,8 +318,7 @@ def _needed_by(state: State, node: Node, chosen: Iterable[Node] = ()) -> str:
 # -------------------------------------------------------------------- why it is this one
 
 
-@dataclass(frozen=True, slots=True)
-class Alternative:
+class Alternative(NamedTuple):
     """A design or configuration that is not chosen.
 
     Attributes:
@@ -388,8 +334,7 @@ class Alternative:
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class ChoiceExplanation:
+class ChoiceExplanation(NamedTuple):
     """What is chosen for a function or a component, and why not the others.
 
     Attributes:
@@ -421,67 +366,34 @@ def explain_choice(state: State, node: Node, now: float) -> ChoiceExplanation:
 
     The reason is the one given with the selection, else the priority.
     """
-    kind = "design" if node.kind == "function" else "configuration"
     possible = ranked(state, node)
     selected = next((part for part in node.requires if part in state.selected), None)
+    chosen = selected or next(iter(possible), None)
     given = "" if selected is None else state.reason("selected", selected).text
-    preferred = [part for part in possible if part is selected or not given]
-    first = preferred[0] if preferred else None
-    chosen = selected or first
-    if chosen is None:
-        reason = f"each {kind} of it is unfeasible" if node.requires else f"it has no {kind}"
-    elif chosen not in possible:
-        reason = f"it was possible before; now {why(state, chosen, now)}"
-    else:
-        reason = "it was preferred before"
-        if chosen is first:
-            reason = given or _advantage(possible, kind)
-        if not state.is_required(node):
-            reason += f"; nothing requires the {node.kind} now"
-    alternatives = []
-    for part in node.requires:
-        if part is chosen:
-            continue
+
+    def reason(part: Node) -> str:
         if part not in possible:
-            why_not = f"it{why(state, part, now).removeprefix(part.name)}"
-        elif given:
-            is_part = "is not part of that choice" if first else "is possible, but not selected yet"
-            why_not = f"it {is_part}"
-        else:
-            why_not = _disadvantage(state, part, possible[0])
-        status = state.status[part]
-        alternatives.append(Alternative(part.name, status, part.element.priority, why_not))
-    name = chosen.name if chosen else None
+            return f"it{why(state, part, now).removeprefix(part.name)}"
+        if given:
+            return given if part is chosen else "it is possible, but not part of that choice"
+        place = possible.index(part)
+        priority = part.element.priority
+        words = "no priority number" if priority is None else f"priority number {priority}"
+        if place:
+            return f"it has {words}, and comes after {possible[place - 1].name}"
+        if len(possible) == 1:
+            return "nothing else is feasible"
+        return f"it comes first, with {words}"
+
+    alternatives = [
+        Alternative(part.name, state.status[part], part.element.priority, reason(part))
+        for part in node.requires
+        if part is not chosen
+    ]
+    words = "all is unfeasible" if chosen is None else reason(chosen)
+    if not state.is_required(node):
+        words += f"; nothing requires the {node.kind} now"
+    name = None if chosen is None else chosen.name
     return ChoiceExplanation(
-        node.kind, node.name, name, selected is not None, reason, tuple(alternatives)
+        node.kind, node.name, name, selected is not None, words, tuple(alternatives)
     )
-
-
-def _advantage(possible: list[Node], kind: str) -> str:
-    """Return why the first of what is possible is chosen."""
-    if len(possible) == 1:
-        return f"no other {kind} is feasible"
-    priority = possible[0].element.priority
-    if possible[1].element.priority == priority:
-        return f"of those with {_in_words(priority)} it comes first by name"
-    return f"{_in_words(priority)} is the lowest of those that are feasible"
-
-
-def _disadvantage(state: State, part: Node, first: Node) -> str:
-    """Return why a possible part is not chosen, although it may be the first by priority."""
-    if part is first:
-        owner = part.used_by[0]
-        due = choice_by_priority(state)
-        if due and part.name in (due.designs.get(owner.name), due.configurations.get(owner.name)):
-            return "it is to be selected next"
-        return (
-            f"nothing new is selected for the {owner.kind}, whose status is {state.status[owner]}"
-        )
-    words = _in_words(part.element.priority)
-    if part.element.priority == first.element.priority:
-        return f"it has {words} too, and comes after {first.name} by name"
-    return f"it has {words}, which comes after {first.element.priority}"
-
-
-def _in_words(priority: float | None) -> str:
-    return "no priority number" if priority is None else f"priority number {priority}"

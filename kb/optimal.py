@@ -6,9 +6,7 @@ the same on every machine. All amounts are whole numbers of a unit, so comparing
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Final
-from weakref import WeakKeyDictionary
+from typing import Any, Final, NamedTuple
 
 from kb.elements import ComponentKind, Estimation, EstimationKind, finite_number
 from kb.exceptions import InvalidValue, KnowledgeBaseError
@@ -32,7 +30,6 @@ _SETTINGS: Final = {
 }
 
 Untyped = Any  # an object of OR-tools: a variable, an expression, a status
-SwitchingCost = float | Mapping[str, float]
 
 
 def load_cp_model() -> Untyped:
@@ -47,30 +44,20 @@ def load_cp_model() -> Untyped:
     return cp_model
 
 
-@dataclass(frozen=True, slots=True)
-class Optimum:
+class Optimum(NamedTuple):
     """The best joint choice, or the best one that was found within the effort.
 
     Attributes:
         choice: what to select.
         value: the worth of the choice, less switching costs; at least that if it is not proven.
-        switching: the switching costs.
         bound: an upper bound of the value of any choice.
         is_proven: no choice is better, and no equal one comes before it.
-        reason: how sure that is, in words.
     """
 
     choice: Choice
     value: float
-    switching: float
     bound: float
     is_proven: bool
-    reason: str = ""
-
-    @property
-    def gap(self) -> float:
-        """How much better another choice can be at most."""
-        return self.bound - self.value
 
 
 class OptimalPlanner:
@@ -82,9 +69,8 @@ class OptimalPlanner:
 
     Args:
         switching_cost: the cost of activating or deactivating a component or changing its
-            configuration, the same for all or by name of the component; for a smaller gain nothing
-            is switched. Plain components are activated and deactivated at no cost, because they
-            are not switched.
+            configuration; for a smaller gain nothing is switched. Plain components are activated
+            and deactivated at no cost, because they are not switched.
         effort: the most work for one choice, in CP-SAT's deterministic time; 0.3 is about a
             second.
 
@@ -92,54 +78,46 @@ class OptimalPlanner:
         latest: the latest result; None before the first, and after a choice by priority.
     """
 
-    def __init__(self, *, switching_cost: SwitchingCost = 0.0, effort: float = 0.3) -> None:
+    def __init__(self, *, switching_cost: float = 0.0, effort: float = 0.3) -> None:
         load_cp_model()
         if finite_number(effort) <= 0.0:
             raise InvalidValue(f"an effort is more than 0, not {effort!r}")
-        costs = [switching_cost]
-        if isinstance(switching_cost, Mapping):
-            costs = [*switching_cost.values()]
-        for cost in costs:
-            if finite_number(cost) < 0.0:
-                raise InvalidValue(f"a switching cost is 0 or more, not {cost!r}")
+        if finite_number(switching_cost) < 0.0:
+            raise InvalidValue(f"a switching cost is 0 or more, not {switching_cost!r}")
         self._switching_cost = switching_cost
         self._effort = effort
-        self._weights = WeakKeyDictionary[KnowledgeBase, Mapping[str, float]]()
-        """The weights of the last choice by knowledge base."""
+        self._weights: Mapping[str, float] | None = None
         self.latest: Optimum | None = None
 
     def choose(self, kb: KnowledgeBase) -> Choice | None:
-        """Return what `plan` would select now; None if there is nothing to do."""
-        return _choice(kb, self.optimum(kb) if self._is_due(kb) else None)
+        """Return what `plan` would select now; None if there is nothing to do.
+
+        Priority decides where nothing is estimated, and where no choice was found within the
+        effort.
+        """
+        weights = summed_weights(kb)
+        optimum = None
+        is_adaptable = kb.adaptable_functions() or kb.adaptable_components()
+        if is_adaptable or self._weights not in (None, weights):
+            optimum = self.latest = self.optimum(kb)
+        if optimum is not None:
+            return optimum.choice
+        with kb.reading() as state:
+            return choice_by_priority(state)
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
         """Select for all that is required if it is due; see `Planner`."""
         weights = summed_weights(kb)
-        optimum = None
-        if self._is_due(kb):
-            optimum = self.latest = self.optimum(kb)
-        choice = _choice(kb, optimum)
+        choice = self.choose(kb)
         plan = None if choice is None else kb.select(*choice)
-        self._weights[kb] = weights  # last, so that an interrupted choice is repeated
+        self._weights = weights  # last, so that an interrupted choice is repeated
         return plan
 
     def optimum(self, kb: KnowledgeBase) -> Optimum | None:
-        """Return the best choice for the present state; None if priority is to decide.
-
-        Priority decides where nothing is estimated, and where no choice was found within the
-        effort.
-
-        Raises:
-            UnknownName: a switching cost names a component that the model does not have.
-        """
+        """Return the best choice for the present state; None if priority is to decide."""
         with kb.reading() as state:
             problem = Problem(state, summed_weights(kb), self._switching_cost)
         return problem.solve(self._effort) if problem.is_weighed else None
-
-    def _is_due(self, kb: KnowledgeBase) -> bool:
-        if kb.adaptable_functions() or kb.adaptable_components():
-            return True
-        return kb in self._weights and self._weights[kb] != summed_weights(kb)
 
 
 def summed_weights(kb: KnowledgeBase) -> dict[str, float]:
@@ -151,22 +129,6 @@ def summed_weights(kb: KnowledgeBase) -> dict[str, float]:
         for attribute, weight in weighed.items():
             weights[attribute] = weights.get(attribute, 0.0) + weight
     return {name: weight for name, weight in weights.items() if weight}
-
-
-def _choice(kb: KnowledgeBase, optimum: Optimum | None) -> Choice | None:
-    """Return what to select; an empty choice only gives up what is obsolete."""
-    with kb.reading() as state:
-        if optimum is None:
-            return choice_by_priority(state)
-        designs, configurations, reason = optimum.choice
-        network = state.network
-        chosen = [network.designs[name] for name in designs.values()]
-        chosen += [network.configurations[name] for name in configurations.values()]
-        if not chosen:
-            return Choice({}, {}) if state.obsolete() else None
-        if state.selected.issuperset(chosen):
-            return Choice({}, {})  # `kb.select` says why the plan is needed all the same
-        return Choice(designs, configurations, reason)
 
 
 class Problem:
@@ -186,12 +148,12 @@ class Problem:
     """
 
     def __init__(
-        self, state: State, weights: Mapping[str, float], switching_cost: SwitchingCost = 0.0
+        self, state: State, weights: Mapping[str, float], switching_cost: float = 0.0
     ) -> None:
         network = state.network
         self._weights = weights
         self._gains: dict[Node, list[tuple[Estimation, float]]] = {}
-        total = 1.0
+        total = 1.0 + switching_cost * len(network.components)
         for estimation in network.model.estimations:
             weight = weights.get(estimation.attribute)
             if weight:
@@ -199,17 +161,11 @@ class Problem:
                 gains = self._gains.setdefault(network.find(estimation.causer), [])
                 gains.append((estimation, gain))
                 total += abs(gain)
-        if isinstance(switching_cost, Mapping):
-            costs = {network.components[name]: cost for name, cost in switching_cost.items()}
-        else:
-            costs = dict.fromkeys(network.components.values(), switching_cost)
-        total += sum(costs.values())
         self._scale = 10.0 ** (DIGITS - math.ceil(math.log10(total)))
-        self._costs = {node: round(cost * self._scale) for node, cost in costs.items()}
+        self._cost = round(switching_cost * self._scale)
         self._cp = load_cp_model()
         self._model: Untyped = self._cp.CpModel()
         self._worth: list[Untyped] = []
-        self._switching: list[Untyped] = []
         self._levels: dict[str, list[tuple[Untyped, int]]] = {}
         self._options: dict[Node, Mapping[Node | None, Untyped]] = {}
         self.is_weighed = False
@@ -238,15 +194,21 @@ class Problem:
         bound = value
         if status == cp.FEASIBLE:
             bound = math.floor(solver.best_objective_bound / more_than_ranks) + 1
-        optimum = Optimum(
-            self._read(solver),
-            value / self._scale,
-            solver.value(sum(self._switching)) / self._scale,
-            bound / self._scale,
-            status == cp.OPTIMAL,
+        is_proven = status == cp.OPTIMAL
+        best = "the best" if is_proven else f"the best found with an effort of {effort:g}"
+        goal = ", ".join(
+            name if weight == 1.0 else f"{weight:g} {name}"
+            for name, weight in self._weights.items()
         )
-        reason = self._reason(optimum, effort)
-        return replace(optimum, choice=optimum.choice._replace(reason=reason), reason=reason)
+        reason = f"of all choices this is {best} for {goal}, worth {value / self._scale:.12g}"
+        choice = Choice({}, {}, reason)
+        for owner, options in self._options.items():
+            for node, literal in options.items():
+                if node is not None and solver.value(literal):
+                    is_design = node.kind == "function design"
+                    names: Any = choice.designs if is_design else choice.configurations
+                    names[owner.name] = node.name
+        return Optimum(choice, value / self._scale, bound / self._scale, is_proven)
 
     def _encode(self, state: State) -> None:
         kept = []  # designs of functions that are stuck with what they have
@@ -259,7 +221,7 @@ class Problem:
                 continue
             designs = ranked(state, node)
             if designs:
-                self._options[node] = {design: self._literal(state, [design]) for design in designs}
+                self._options[node] = {design: self._literal([design]) for design in designs}
                 self._model.add_exactly_one(self._options[node].values())
             else:
                 kept += [design for design in node.requires if design in state.selected]
@@ -278,10 +240,10 @@ class Problem:
         selected = [part for part in node.requires if part in state.selected]
         options: dict[Node | None, Untyped] = {}
         for part in ranked(state, node):
-            to_configure = 0 if part in selected else self._costs.get(node, 0)
-            options[part] = self._literal(state, [node, part], to_start + to_configure)
+            to_configure = 0 if part in selected else self._cost
+            options[part] = self._literal([node, part], to_start + to_configure)
         if not options:
-            options[None] = self._literal(state, [node, *selected], to_start)
+            options[None] = self._literal([node, *selected], to_start)
         needed = self._model.new_bool_var("")
         self._model.add(sum(options.values()) == needed)
         users = []
@@ -305,12 +267,11 @@ class Problem:
     def _cost_to_switch(self, component: Node) -> int:
         """Return the cost of starting or stopping a component; a plain one is not switched."""
         is_plain = component.element.kind is ComponentKind.PLAIN
-        return 0 if is_plain else self._costs.get(component, 0)
+        return 0 if is_plain else self._cost
 
-    def _literal(self, state: State, nodes: list[Node], cost: int = 0) -> Untyped:
-        """Return a variable for a choice; what is chosen now is a hint for the search."""
+    def _literal(self, nodes: list[Node], cost: int = 0) -> Untyped:
+        """Return a variable for a choice."""
         literal = self._model.new_bool_var("")
-        self._model.add_hint(literal, nodes[-1] in state.selected)
         self._add(literal, nodes, cost)
         return literal
 
@@ -325,7 +286,6 @@ class Problem:
             else:
                 worth += amount
         self._worth.append(literal * worth)
-        self._switching.append(literal * cost)
 
     def _worst(self, levels: list[tuple[Untyped, int]]) -> Untyped:
         """Return a variable that is at most the worst chosen level, or 0 if none is chosen."""
@@ -337,43 +297,3 @@ class Problem:
             self._model.add(worst <= high - (high - amount) * literal)
         self._model.add(sum(literal for literal, _ in levels) + is_unset >= 1)
         return worst
-
-    def _read(self, solver: Untyped) -> Choice:
-        choice = Choice({}, {})
-        for owner, options in self._options.items():
-            for node, literal in options.items():
-                if node is not None and solver.value(literal):
-                    is_design = node.kind == "function design"
-                    names: Any = choice.designs if is_design else choice.configurations
-                    names[owner.name] = node.name
-        return choice
-
-    def _reason(self, optimum: Optimum, effort: float) -> str:
-        """Say why the choice is the best, what it is worth, and how sure that is."""
-        worth = f"worth {number(optimum.value)}"
-        if optimum.switching:
-            estimated = number(optimum.value + optimum.switching)
-            worth += f" ({estimated} less {number(optimum.switching)} for switching)"
-        goal = goal_in_words(self._weights)
-        if optimum.is_proven:
-            return f"of all choices this is the best for {goal}, {worth}"
-        work = f"an effort of {effort:g}"
-        gap = f"none is worth more than {number(optimum.bound)} (a gap of {number(optimum.gap)})"
-        return f"this is the best for {goal} that {work} found, {worth}; {gap}"
-
-
-def number(value: float) -> str:
-    """Write a number with at most 12 significant digits."""
-    return f"{value:.12g}"
-
-
-def goal_in_words(weights: Mapping[str, float]) -> str:
-    """Return the weights in words, e.g. "accuracy - 0.03 power"."""
-    if list(weights.values()) == [-1.0]:
-        return f"little {next(iter(weights))}"
-    words = ""
-    for name, weight in weights.items():
-        factor = "" if abs(weight) == 1.0 else f"{number(abs(weight))} "
-        words += f"{' - ' if weight < 0.0 else ' + '}{factor}{name}"
-    sign = "-" if words.startswith(" -") else ""
-    return sign + words[3:]

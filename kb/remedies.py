@@ -8,14 +8,13 @@ them its own constraints. Each way through this structure is a conjunction of in
 import math
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from kb.debounce import turning_point
-from kb.elements import Action, Attribute, Constraint, Element, StalePolicy, exact
+from kb.elements import Action, Attribute, Constraint, Element, exact
 from kb.network import Node
 from kb.state import State
-from kb.status import IMPOSSIBLE, Status
+from kb.status import IMPOSSIBLE, VIOLATED, Status
 
 LIMIT: Final = 64
 """The most conjunctions of one element."""
@@ -100,7 +99,7 @@ class Repair(NamedTuple):
         return _REPAIRS[self.what].format(getattr(self.element, "name", self.element))
 
 
-class Conjunction(dict[str | Repair, Interval]):
+class Conjunction(dict[Attribute | Repair, Interval]):
     """One way to make an element feasible: the interval of each attribute, and repairs."""
 
     def covers(self, other: "Conjunction") -> bool:
@@ -117,16 +116,35 @@ class Conjunction(dict[str | Repair, Interval]):
                 return None
         return both
 
+    def is_restored_by(self, action: Action) -> bool:
+        """Return whether it is all about attributes and components that an action restores.
 
-class Alternatives(NamedTuple):
-    """The conjunctions of an element, none of which covers another, and whether these are all."""
+        An asserted status or a missing design is nothing that an action can restore. A status that
+        lapses needs no action.
+        """
+        for what in self:
+            is_restored = what in action.restores
+            if isinstance(what, Repair):
+                is_recovered = what.what == "recovered" and what.element in action.restores
+                is_restored = is_recovered or what.what == "lapsed"
+            if not is_restored:
+                return False
+        return True
 
-    conjunctions: tuple[Conjunction, ...]
-    complete: bool = True
+    def __str__(self) -> str:
+        texts = []
+        for what, interval in self.items():
+            text = str(what)
+            if isinstance(what, Attribute):
+                text = interval.text(what.name, what.unit)
+            texts.append(text)
+        return " and ".join(sorted(texts))
 
 
-TRUE: Final = Alternatives((Conjunction(),))
-FALSE: Final = Alternatives(())
+Alternatives = tuple[Conjunction, ...]
+"""The conjunctions of an element, none of which covers another."""
+TRUE: Final = (Conjunction(),)
+FALSE: Final = ()
 
 
 class Requirements:
@@ -137,13 +155,21 @@ class Requirements:
             restricted. With None, the question is what is possible at all: each constraint
             counts, nothing has failed, and a function without a design is impossible.
         limit: the most conjunctions of each element.
+
+    Attributes:
+        are_all: no alternative was left out because of the limit.
     """
 
     def __init__(self, state: State | None = None, limit: int = LIMIT) -> None:
         self._state = state
         self._limit = limit
+        self.are_all = True
         self._alternatives: dict[Node, Alternatives] = {}
-        self._is_harmless: dict[Node, bool] = {}
+        self._violated: set[Node] = set()
+        """The constraints that measurements violate."""
+        if state is not None:
+            constraints = state.network.constraints.values()
+            self._violated = {node for node in constraints if state.compare(node) is VIOLATED}
 
     def of(self, node: Node) -> Alternatives:
         if node not in self._alternatives:
@@ -166,47 +192,55 @@ class Requirements:
         elif node.kind == "function" and state is not None and not node.requires:
             needed.append(_repaired("designed", node))
         elif node.kind == "function" or (node.kind == "component" and node.requires):
-            needed.append(self._any_of([self.of(part) for part in node.requires]))
+            choices = [conjunction for part in node.requires for conjunction in self.of(part)]
+            needed.append(self._smallest(choices))
         else:
             needed += [self.of(part) for part in node.requires]
         return self._all_of(needed)
 
     def _bound(self, node: Node, attribute: Node) -> Alternatives:
-        state = self._state
-        verdict = None
-        possible = Interval()
-        if state is not None:
-            if attribute not in self._is_harmless:
-                statuses = [state.compare(other) for other in attribute.constraints]
-                self._is_harmless[attribute] = Status.VIOLATED not in statuses
-            if self._is_harmless[attribute]:
+        interval = Interval.of(node.constraint)
+        possible = interval
+        if self._state is not None:
+            if self._violated.isdisjoint(attribute.constraints):
                 return TRUE
-            verdict = state.verdict(node)
-            element = attribute.attribute
-            possible = Interval(element.low, element.high)
-        interval = _required(node, verdict)
-        if interval.meet(possible).is_empty:
+            interval = self._required(node)
+            possible = interval.meet(Interval(attribute.attribute.low, attribute.attribute.high))
+        if possible.is_empty:
             return FALSE
-        return Alternatives((Conjunction({attribute.name: interval}),))
+        return (Conjunction({attribute.attribute: interval}),)
 
-    def _any_of(self, choices: Iterable[Alternatives]) -> Alternatives:
-        conjunctions = [conjunction for choice in choices for conjunction in choice.conjunctions]
-        complete = all(choice.complete for choice in choices)
-        return self._smallest(conjunctions, complete)
+    def _required(self, node: Node) -> Interval:
+        """Return the values that satisfy a constraint, beyond its hysteresis."""
+        verdict = None if self._state is None else self._state.verdict(node)
+        return Interval.of(node.constraint, turning_point(node.constraint, verdict))
+
+    def pending(self, conjunction: Conjunction) -> Conjunction:
+        """Return the part of a conjunction that does not hold yet."""
+        if self._state is None:
+            return conjunction
+        pending = Conjunction()
+        for what, interval in conjunction.items():
+            nodes: list[Node] = []
+            if isinstance(what, Attribute):
+                nodes = self._state.network.attributes[what.name].constraints
+            if isinstance(what, Repair) or any(
+                self._required(node).covers(interval) for node in nodes if node in self._violated
+            ):
+                pending[what] = interval
+        return pending
 
     def _all_of(self, needed: list[Alternatives]) -> Alternatives:
-        needed.sort(key=lambda alternatives: len(alternatives.conjunctions))
-        together = TRUE
-        for conjunctions, complete in needed:
+        together: Alternatives = TRUE
+        for conjunctions in sorted(needed, key=len):
             meetings: list[Conjunction | None] = []
-            for mine in together.conjunctions:
+            for mine in together:
                 is_covered = any(other.covers(mine) for other in conjunctions)
                 meetings += [mine] if is_covered else [mine.meet(other) for other in conjunctions]
-            possible = [meeting for meeting in meetings if meeting is not None]
-            together = self._smallest(possible, together.complete and complete)
+            together = self._smallest(meeting for meeting in meetings if meeting is not None)
         return together
 
-    def _smallest(self, conjunctions: Iterable[Conjunction], complete: bool) -> Alternatives:
+    def _smallest(self, conjunctions: Iterable[Conjunction]) -> Alternatives:
         """Return those that no other covers, the fewest changes first, up to the limit."""
         smallest: list[Conjunction] = []
         for conjunction in sorted(conjunctions, key=self._changes):
@@ -214,94 +248,20 @@ class Requirements:
                 continue
             smallest = [other for other in smallest if not conjunction.covers(other)]
             if len(smallest) == self._limit:
-                return Alternatives(tuple(smallest), False)
+                self.are_all = False
+                break
             smallest.append(conjunction)
-        return Alternatives(tuple(smallest), complete)
+        return tuple(smallest)
 
     def _changes(self, conjunction: Conjunction) -> tuple[int, int]:
-        changes = conjunction if self._state is None else _pending(self._state, conjunction)
-        return len(changes), len(conjunction)
+        return len(self.pending(conjunction)), len(conjunction)
 
 
 def _repaired(what: str, node: Node) -> Alternatives:
-    return Alternatives((Conjunction({Repair(what, node.element): Interval()}),))
+    return (Conjunction({Repair(what, node.element): Interval()}),)
 
 
-def _is_counted_violated(state: State, attribute: Node) -> bool:
-    return attribute in state.stale and attribute.attribute.when_stale is StalePolicy.VIOLATED
-
-
-def _required(node: Node, verdict: Status | None) -> Interval:
-    return Interval.of(node.constraint, turning_point(node.constraint, verdict))
-
-
-def _pending(state: State, conjunction: Conjunction) -> Conjunction:
-    """Return the part of a conjunction that does not hold yet."""
-    pending = Conjunction()
-    for what, interval in conjunction.items():
-        if isinstance(what, Repair):
-            pending[what] = interval
-            continue
-        attribute = state.network.attributes[what]
-        value = state.value.get(attribute)
-        is_outside = value is not None and value not in interval
-        is_held = any(
-            state.verdict(node) is Status.VIOLATED
-            and _required(node, Status.VIOLATED).covers(interval)
-            for node in attribute.debounced
-        )
-        if is_outside or is_held or _is_counted_violated(state, attribute):
-            pending[what] = interval
-    return pending
-
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """A measurement that is needed: an attribute with a value in an interval.
-
-    Attributes:
-        attribute: the name of the attribute.
-        interval: the interval, in the unit of the attribute.
-        unit: the unit of the attribute; may be empty.
-        how: "measured again" after the latest measurement is stale, "for longer" if the value is
-            in the interval already, else empty.
-    """
-
-    attribute: str
-    interval: Interval
-    unit: str = ""
-    how: str = ""
-
-    def __str__(self) -> str:
-        return f"{self.interval.text(self.attribute, self.unit)} {self.how}".rstrip()
-
-
-@dataclass(frozen=True, slots=True)
-class Remedy:
-    """Facts that together would make an element feasible, measurements first."""
-
-    facts: tuple[Measured | Repair, ...]
-
-    def __str__(self) -> str:
-        return " and ".join(map(str, self.facts))
-
-    def is_restored_by(self, action: Action) -> bool:
-        """Return whether all its facts are about attributes and components that an action restores.
-
-        A measurement that has to be repeated or to last is about its attribute; an asserted status
-        or a missing design is nothing that an action can restore. One that lapses needs no action.
-        """
-        attributes = [each.name for each in action.restores if isinstance(each, Attribute)]
-        return all(
-            fact.attribute in attributes
-            if isinstance(fact, Measured)
-            else fact.what == "lapsed"
-            or (fact.what == "recovered" and fact.element in action.restores)
-            for fact in self.facts
-        )
-
-
-def remedies(state: State, node: Node) -> tuple[tuple[Remedy, ...], bool]:
+def remedies(state: State, node: Node) -> tuple[tuple[Conjunction, ...], bool]:
     """Return what would make an unfeasible or failed element feasible, smallest first.
 
     Also return whether these are all. If so, no subset of the facts of one of them is enough,
@@ -309,34 +269,16 @@ def remedies(state: State, node: Node) -> tuple[tuple[Remedy, ...], bool]:
     """
     if node.kind == "constraint" or state.status[node] not in IMPOSSIBLE:
         return (), True
-    alternatives = Requirements(state).of(node)
-    pending = [_pending(state, conjunction) for conjunction in alternatives.conjunctions]
-    smallest = {
-        _remedy(state, mine)
-        for mine in pending
-        if not any(
+    requirements = Requirements(state)
+    pending = [requirements.pending(conjunction) for conjunction in requirements.of(node)]
+    smallest = {}
+    for mine in pending:
+        is_smallest = not any(
             other.keys() < mine.keys()
             or (other.keys() == mine.keys() and other != mine and other.covers(mine))
             for other in pending
         )
-    }
-    ranked = sorted(smallest, key=lambda remedy: (len(remedy.facts), str(remedy)))
-    return tuple(ranked[:MOST_REMEDIES]), alternatives.complete and len(ranked) <= MOST_REMEDIES
-
-
-def _remedy(state: State, pending: Conjunction) -> Remedy:
-    measurements = []
-    repairs = []
-    for what, interval in pending.items():
-        if isinstance(what, Repair):
-            repairs.append(what)
-            continue
-        attribute = state.network.attributes[what]
-        how = ""
-        if _is_counted_violated(state, attribute):
-            how = "measured again"
-        elif state.value[attribute] in interval:
-            how = "for longer"
-        measurements.append(Measured(what, interval, attribute.attribute.unit, how))
-    measurements.sort(key=lambda fact: fact.attribute)
-    return Remedy((*measurements, *sorted(repairs, key=str)))
+        if is_smallest:
+            smallest[len(mine), str(mine)] = mine
+    ranked = [smallest[rank] for rank in sorted(smallest)]
+    return tuple(ranked[:MOST_REMEDIES]), requirements.are_all and len(ranked) <= MOST_REMEDIES

@@ -4,28 +4,18 @@ Also where py_trees has nodes of the same name.
 """
 
 from contextlib import suppress
+from math import inf
 from types import GenericAlias
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from rosa_bt.behaviours import Ticking
 from rosa_bt.requests import FAILURE, RUNNING, SUCCESS
-from rosa_bt.xml.blackboard import PortError, Ports
-from rosa_bt.xml.nodes import (
-    DONE,
-    MAX_NODES,
-    ROUNDING_S,
-    SKIPPED,
-    Control,
-    NodeError,
-    OneChild,
-    Slot,
-    port,
-)
+from rosa_bt.xml.blackboard import NodeError, Ports, convert, truth
+from rosa_bt.xml.nodes import DONE, ROUNDING_S, SKIPPED, Control, OneChild, Slot, port
 from rosa_bt.xml.scripts import parse_script
-from rosa_bt.xml.values import converted, truth
 
 
 class Sequence(Control):
@@ -46,7 +36,9 @@ class Sequence(Control):
     _skipped = 0
 
     def decide(self) -> Ticking:
-        slots = self.slots
+        return (yield from self.tick_in_order(self.slots))
+
+    def tick_in_order(self, slots: list[Slot]) -> Ticking:
         start = 0
         if self.current_child in self.children:
             start = self.children.index(self.current_child)
@@ -104,17 +96,22 @@ class ReactiveSequence(Control):
 
     def decide(self) -> Ticking:
         skipped = 0
-        for slot in self.slots:
+        for place, slot in enumerate(self.slots):
             verdict = yield from slot.tick()
             if verdict is RUNNING:
-                self.reset_children(slot)
-                return RUNNING
-            if verdict is SKIPPED:
+                if self.waits_for(place):
+                    return RUNNING
+            elif verdict is SKIPPED:
                 skipped += 1
                 slot.reset()
             elif verdict is not self.goes_on:
                 return self.end(verdict)
         return self.end(SKIPPED if skipped == len(self.children) else self.goes_on)
+
+    def waits_for(self, place: int) -> bool:
+        """Tell whether the tick ends at this child, which is RUNNING."""
+        self.reset_children(self.slots[place])
+        return True
 
 
 class ReactiveFallback(ReactiveSequence):
@@ -122,6 +119,19 @@ class ReactiveFallback(ReactiveSequence):
 
     goes_on = FAILURE
     is_reactive_sequence = False
+
+
+class PipelineSequence(ReactiveSequence):
+    """A sequence that ticks earlier children again, and goes on even if one is RUNNING then."""
+
+    FORGETS = ("_furthest",)
+    is_reactive_sequence = False
+    _furthest = 0
+
+    def waits_for(self, place: int) -> bool:
+        is_late = place >= self._furthest
+        self._furthest = max(place, self._furthest)
+        return is_late
 
 
 class Parallel(Control, success_count=port(int, -1), failure_count=port(int, 1)):
@@ -138,22 +148,22 @@ class Parallel(Control, success_count=port(int, -1), failure_count=port(int, 1))
         for slot in self.slots:
             if slot.status not in DONE:
                 skipped += (yield from slot.tick()) is SKIPPED
-            verdict = self.judge(skipped, *thresholds)
+            ended = [slot.status for slot in self.slots]
+            counts = (skipped, ended.count(SUCCESS), ended.count(FAILURE))
+            verdict = self.judge(*counts, *thresholds)
             if verdict is not None:
                 return self.end(verdict)
-        return SKIPPED if skipped == len(self.children) else RUNNING
+        return SKIPPED if skipped == len(ended) else RUNNING
 
-    def judge(self, skipped: int, successes: int, failures: int) -> Status | None:
+    def judge(
+        self, skipped: int, succeeded: int, failed: int, successes: int, failures: int
+    ) -> Status | None:
         """Return the outcome after a child was ticked, None if it is open."""
-        failed = self.count_ended(FAILURE)
         counted = skipped if self.ports.get("success_count") < 0 else 0
-        if self.count_ended(SUCCESS) + counted >= successes:
+        if succeeded + counted >= successes:
             return SUCCESS
         is_over = len(self.children) - failed < successes or failed == failures
         return FAILURE if is_over else None
-
-    def count_ended(self, verdict: Status) -> int:
-        return sum(slot.status is verdict for slot in self.slots)
 
     def _threshold(self, name: str) -> int:
         """Return the number of children in a port.
@@ -170,9 +180,8 @@ class Parallel(Control, success_count=port(int, -1), failure_count=port(int, 1))
 class ParallelAll(Parallel, max_failures=port(int, 1)):
     """Ends when all children have finished: FAILURE if `max_failures` of them failed."""
 
-    def judge(self, skipped: int, failures: int) -> Status | None:  # type: ignore[override]  # as many as PORTS
-        failed = self.count_ended(FAILURE)
-        ended = failed + self.count_ended(SUCCESS)
+    def judge(self, skipped: int, succeeded: int, failed: int, failures: int) -> Status | None:  # type: ignore[override]  # as many as PORTS
+        ended = succeeded + failed
         if not ended or skipped + ended < len(self.children):
             return None
         return FAILURE if failed >= failures else SUCCESS
@@ -253,20 +262,19 @@ class Switch(Control, is_node=False):
         enums = ports.blackboard.root.enums
         left, right = (str(enums.get(text, text)) for text in map(ports.get, ("variable", case)))
         for kind in (str, int, float):
-            with suppress(ValueError):
-                if converted(left, kind) == converted(right, kind):
+            with suppress(NodeError):
+                if convert(left, kind) == convert(right, kind):
                     return True
         return False
 
 
-for _cases in range(2, 7):
-    _names = ["variable", *(f"case_{number + 1}" for number in range(_cases))]
-    _children = {"CHILDREN": (_cases + 1, _cases + 1)}
+for _count in range(3, 8):
+    _names = ["variable", *(f"case_{number}" for number in range(1, _count))]
     _ports = {name: port(str, required=False) for name in _names}
-    type(f"Switch{_cases}", (Switch,), _children, **_ports)
+    type(f"Switch{_count - 1}", (Switch,), {"CHILDREN": (_count, _count)}, **_ports)
 
 
-class TryCatch(Control, catch_on_halt=port(bool, False)):
+class TryCatch(Sequence, catch_on_halt=port(bool, False)):
     """A sequence of all but the last child.
 
     If one fails, the last child is ticked to its end: then FAILURE.
@@ -275,30 +283,23 @@ class TryCatch(Control, catch_on_halt=port(bool, False)):
     has failed.
     """
 
-    CHILDREN = (2, MAX_NODES)
-    FORGETS = ("_place", "_skipped")
-    _place = 0
-    _skipped = 0
+    CHILDREN = (2, inf)
+    FORGETS = (*Sequence.FORGETS, "_has_failed")
+    _has_failed = False
 
     def decide(self) -> Ticking:
         *tried, last = self.slots
-        while self._place < len(tried):
-            verdict = yield from tried[self._place].tick()
-            if verdict is RUNNING:
-                return RUNNING
-            self._skipped += verdict is SKIPPED
-            self._place += 1
-            if verdict is FAILURE:
-                self.reset_children()
-                self._place = len(self.slots)
-            elif self._place == len(tried):
-                return self.end(SKIPPED if self._skipped == len(tried) else SUCCESS)
+        if not self._has_failed:
+            verdict = yield from self.tick_in_order(tried)
+            if verdict is not FAILURE:
+                return verdict
+            self._has_failed = True
         verdict = yield from last.tick()
         return RUNNING if verdict is RUNNING else self.end(FAILURE)
 
     def stop(self, new_status: Status = SKIPPED) -> None:
         last = self.slots[-1]
-        if self.ports.get("catch_on_halt") and self._place < len(self.slots) - 1:
+        if self.ports.get("catch_on_halt") and not self._has_failed:
             self.reset_children(last)
             for _ in last.tick():
                 pass
@@ -313,7 +314,7 @@ class Translator(OneChild, is_node=False):
     skipped = SKIPPED
 
     def decide(self) -> Ticking:
-        verdict = yield from self.child.tick()
+        verdict = yield from super().decide()
         outcomes = {SUCCESS: self.success, FAILURE: self.failure, SKIPPED: self.skipped}
         return outcomes.get(verdict, verdict)
 
@@ -376,24 +377,106 @@ class RetryUntilSuccessful(Repeat, num_attempts=port(int)):
     once_more = FAILURE
 
 
-class RunOnce(OneChild, then_skip=port(bool, True)):
+class Gate(OneChild, is_node=False):
+    """Starts the child when the gate is open, and ticks it while it is RUNNING."""
+
+    FORGETS: ClassVar[tuple[str, ...]] = ("_last",)
+    runs = False
+    closed = SKIPPED
+    _last: Status | None = None
+    """The outcome of the child when it was ticked last."""
+
+    def instead(self) -> Status | None:
+        """Return the outcome if the child does not start now, None if it does: the first time."""
+        return None if self._last is None else self.closed
+
+    def decide(self) -> Ticking:
+        verdict = None if self._last is RUNNING else self.instead()
+        if verdict is None:
+            verdict = self._last = yield from super().decide()
+        return verdict
+
+
+class RunOnce(Gate, then_skip=port(bool, True)):
     """Ticks the child to its end, once.
 
     After that it is skipped, or with then_skip="false" returns that outcome.
     """
 
-    _outcome = SKIPPED
+    FORGETS = ()
 
     @property
     def runs(self) -> bool:  # type: ignore[override]  # depends on the state here
-        return self._outcome is SKIPPED
+        return self._last not in DONE
+
+    def instead(self) -> Status | None:
+        if self.runs:
+            return None
+        return SKIPPED if self.ports.get("then_skip") else self._last
+
+
+class Precondition(Gate, **{"if": port(str), "else": port(Status, FAILURE)}):
+    """Ticks the child if the script `if` is true; else returns `else`.
+
+    Once the child runs, `if` is not asked.
+    """
+
+    FORGETS = ()
+
+    def prepare(self, ports: Ports) -> None:
+        super().prepare(ports)
+        self._condition = parse_script(ports.get("if"), ports.blackboard)
+
+    def instead(self) -> Status | None:
+        verdict: Status = self.ports.get("else")  # a wrong outcome raises in the first tick
+        return None if self._last is SKIPPED or truth(self._condition()) else verdict
+
+
+class SkipUnlessUpdated(Gate, entry=port(None)):
+    """Ticks the child to its end each time that an entry was written; otherwise it is skipped."""
+
+    def instead(self) -> Status | None:
+        return None if self.ports.is_updated("entry") else self.closed
+
+
+class WaitValueUpdate(SkipUnlessUpdated):
+    """Is RUNNING until the entry was written."""
+
+    closed = RUNNING
+
+
+class Loop(Gate, is_node=False):
+    """Runs the child once for each element of a queue, one per tick.
+
+    Returns `if_empty` in the tick after the last.
+    """
+
+    def initialise(self) -> None:
+        queue = self.ports.get("queue")
+        if isinstance(queue, str):
+            queue = convert(queue, GenericAlias(list, self.PORTS["value"].data_type))
+        self._left = list(queue)
+
+    def instead(self) -> Status | None:
+        if self._left:
+            self.ports.set("value", self._left.pop(0))
+            return None
+        outcome: Status = self.ports.get("if_empty")
+        return outcome
 
     def decide(self) -> Ticking:
-        if self.runs:
-            verdict = yield from self.child.tick()
-            self._outcome = verdict if verdict in DONE else SKIPPED
-            return verdict
-        return SKIPPED if self.ports.get("then_skip") else self._outcome
+        is_over = not self._left and self._last is not RUNNING
+        verdict = yield from super().decide()
+        return verdict if is_over or verdict is FAILURE else RUNNING
+
+
+for _name, _kind in {"Int": int, "Double": float, "Bool": bool, "String": str}.items():
+    _ports = {
+        "queue": port(None),
+        "value": port(_kind, required=False),
+        "if_empty": port(Status, SUCCESS),
+    }
+    type(f"Loop{_name}", (Loop,), {}, **_ports)
 
 
 class Timed(OneChild, is_node=False):
@@ -404,19 +487,18 @@ class Timed(OneChild, is_node=False):
 
     def prepare(self, ports: Ports) -> None:
         super().prepare(ports)
-        for name in ports.literals:
-            if ports.get(name) < 0:
-                raise PortError(f"the port {name!r} takes no negative number")
+        if any(ports.get(name) < 0 for name in ports.literals):
+            raise NodeError("it takes no negative number")
 
     def is_over(self) -> bool:
         """Start the time if it is not started, and tell whether it is over."""
-        now = self.ports.blackboard.clock()
+        now = self.ports.blackboard.root.clock()
         if self._since is None:
             self._since = now
         return bool(now - self._since >= self.ports.get(*self.PORTS) / 1000 - ROUNDING_S)
 
-    def tick_child(self) -> Ticking:
-        verdict = yield from self.child.tick()
+    def decide(self) -> Ticking:
+        verdict = yield from super().decide()
         if verdict in DONE:
             self.forget()
         return verdict
@@ -426,7 +508,7 @@ class Delay(Timed, delay_msec=port(int)):
     """Is RUNNING for `delay_msec` [ms]; then ticks the child."""
 
     def decide(self) -> Ticking:
-        return (yield from self.tick_child()) if self.is_over() else RUNNING
+        return (yield from super().decide()) if self.is_over() else RUNNING
 
 
 class Timeout(Timed, msec=port(int)):
@@ -440,102 +522,60 @@ class Timeout(Timed, msec=port(int)):
         self._is_spent |= is_late
         if is_late and self.child.status is RUNNING:
             return self.end(FAILURE)
-        return (yield from self.tick_child())
+        return (yield from super().decide())
 
 
-class Precondition(OneChild, **{"if": port(str), "else": port(Status, FAILURE)}):
-    """Ticks the child if the script `if` is true; else returns `else`.
+class RateController(Gate, hz=port(float, 10.0)):
+    """Ticks the child at the start, while it is RUNNING, and 1 / `hz` [s] after it succeeded."""
 
-    Once the child runs, `if` is not asked.
-    """
-
-    runs = False
-    _is_begun = False
-
-    def prepare(self, ports: Ports) -> None:
-        super().prepare(ports)
-        self._condition = parse_script(ports.get("if"))
-
-    def decide(self) -> Ticking:
-        instead: Status = self.ports.get("else")  # a wrong outcome raises in the first tick
-        if not (self._is_begun or truth(self._condition(self.ports.blackboard))):
-            return instead
-        verdict = yield from self.child.tick()
-        self._is_begun = verdict not in DONE
-        return verdict
-
-
-class SkipUnlessUpdated(OneChild, entry=port(object)):
-    """Ticks the child to its end each time that an entry was written.
-
-    Otherwise returns `instead`.
-    """
-
-    FORGETS = ("_goes_on",)
-    runs = False
-    instead = SKIPPED
-    _goes_on = False
-
-    def decide(self) -> Ticking:
-        if not (self._goes_on or self.ports.is_updated("entry")):
-            return self.instead
-        verdict = yield from self.child.tick()
-        self._goes_on = verdict is RUNNING
-        return verdict
-
-
-class WaitValueUpdate(SkipUnlessUpdated):
-    """Is RUNNING until the entry was written."""
-
-    instead = RUNNING
-
-
-class Loop(OneChild, is_node=False):
-    """Runs the child once for each element of a queue, one per tick.
-
-    Returns `if_empty` in the tick after the last.
-    """
-
-    FORGETS = ("_goes_on",)
-    runs = False
-    _goes_on = False
-    _left: tuple[Any, ...] = ()
-
-    def prepare(self, ports: Ports) -> None:
-        super().prepare(ports)
-        if "queue" in ports.literals:
-            self.initialise()  # raises if an element is wrong
+    runs = True
+    closed = RUNNING
+    _since = 0.0
 
     def initialise(self) -> None:
-        self._goes_on = False
-        queue = self.ports.get("queue")
-        if isinstance(queue, str):
-            queue = converted(queue, GenericAlias(list, self.PORTS["value"].data_type))
-        self._left = tuple(queue)
+        self.forget()
+
+    def instead(self) -> Status | None:
+        elapsed = self.ports.blackboard.root.clock() - self._since
+        return None if elapsed * self.ports.get("hz") >= 1 - ROUNDING_S else super().instead()
 
     def decide(self) -> Ticking:
-        if not self._goes_on:
-            if not self._left:
-                outcome: Status = self.ports.get("if_empty")
-                return outcome
-            self.ports.set("value", self._left[0])
-            self._left = self._left[1:]
-        verdict = yield from self.child.tick()
-        self._goes_on = verdict is RUNNING
-        return FAILURE if verdict is FAILURE else RUNNING
+        verdict = yield from super().decide()
+        if verdict is SUCCESS:
+            self._since = self.ports.blackboard.root.clock()
+        return verdict
 
 
-_LOOPS = {"Int": int, "Double": float, "Bool": bool, "String": str}
-for _name, _kind in _LOOPS.items():
-    _value = port(_kind, required=False)
-    type(
-        f"Loop{_name}",
-        (Loop,),
-        {},
-        queue=port(object),
-        value=_value,
-        if_empty=port(Status, SUCCESS),
-    )
+class SingleTrigger(Gate):
+    """Ticks the child to its end, once until this node is reset; FAILURE after that."""
+
+    runs = True
+
+    def initialise(self) -> None:
+        self.forget()
+
+    def instead(self) -> Status | None:
+        return FAILURE if self._last in DONE else None
+
+
+class GoalUpdatedController(Gate):
+    """Ticks the child at the start, while it is RUNNING, and when `goal` or `goals` has changed."""
+
+    PORTS: ClassVar = {name: port(None, required=False) for name in ("goal", "goals")}
+    runs = True
+    closed = RUNNING
+    _before: object = None
+
+    def initialise(self) -> None:
+        self.forget()
+
+    def decide(self) -> Ticking:
+        board = self.ports.blackboard
+        goals = [board.get(self.ports.keys.get(name, name)) for name in self.PORTS]
+        if goals != self._before and self._last is not RUNNING:
+            self.forget()
+        self._before = goals
+        return (yield from super().decide())
 
 
 class RecoveryNode(Control, number_of_retries=port(int, 1)):
@@ -564,25 +604,6 @@ class RecoveryNode(Control, number_of_retries=port(int, 1)):
                 return FAILURE
             self._retries += slot is recovery
         return self.end(FAILURE)
-
-
-class PipelineSequence(Control):
-    """A sequence that ticks earlier children again, and goes on even if one is RUNNING then."""
-
-    FORGETS = ("_furthest",)
-    _furthest = 0
-
-    def decide(self) -> Ticking:
-        skipped = 0
-        for place, slot in enumerate(self.slots):
-            verdict = yield from slot.tick()
-            skipped += verdict is SKIPPED
-            if verdict is RUNNING and place >= self._furthest:
-                self._furthest = place
-                return RUNNING
-            if verdict is FAILURE:
-                return self.end(FAILURE)
-        return self.end(SKIPPED if skipped == len(self.children) else SUCCESS)
 
 
 class RoundRobin(Control, wrap_around=port(bool, False)):
@@ -640,16 +661,17 @@ class PersistentSequence(Control, current_child_idx=port(int)):
     """A sequence that keeps its place on the blackboard, also when it is halted."""
 
     def decide(self) -> Ticking:
-        start = self.ports.get("current_child_idx")
-        for place, slot in enumerate(self.slots[start:], start + 1):
+        start = self.ports.get(*self.PORTS)
+        verdict = SUCCESS
+        for place, slot in enumerate(self.slots[start:], start):
+            self.ports.set("current_child_idx", place)
             verdict = yield from slot.tick()
             if verdict is RUNNING:
                 return RUNNING
-            self.ports.set("current_child_idx", 0 if verdict is FAILURE else place)
             if verdict is FAILURE:
-                return self.end(FAILURE)
+                break
         self.ports.set("current_child_idx", 0)
-        return self.end(SUCCESS)
+        return self.end(FAILURE if verdict is FAILURE else SUCCESS)
 
 
 class PauseResumeController(
@@ -665,29 +687,25 @@ class PauseResumeController(
     """
 
     CHILDREN = (1, 4)
-    FORGETS = ("_state", "_has_request")
+    FORGETS = ("_state", "_next")
     _state = 0  # place of the child that is ticked: 0 resumed, 1 paused, 2 on pause, 3 on resume
-    _has_request = False
+    _next: int | None = None
 
-    def pause(self) -> bool:
-        """Pause from the next tick on; return False if it is paused already."""
-        return self._state != 1 and self._go(2)
+    def pause(self) -> None:
+        """Pause from the next tick on, unless it is paused."""
+        self._next = None if self._state == 1 else 2
 
-    def resume(self) -> bool:
-        """Go on from the next tick on; return False if it is not paused."""
-        return self._state == 1 and self._go(3)
-
-    def _go(self, state: int) -> bool:
-        self._state = state
-        self._has_request = True
-        return True
+    def resume(self) -> None:
+        """Go on from the next tick on, if it is paused."""
+        self._next = 3 if self._state == 1 else None
 
     def initialise(self) -> None:
         self.forget()
 
     def decide(self) -> Ticking:
-        if self._has_request:
-            self._has_request = False
+        if self._next is not None:
+            self._state = self._next
+            self._next = None
             self.reset_children()
         state = self._state
         verdict = RUNNING if state == 1 else SKIPPED
@@ -699,59 +717,3 @@ class PauseResumeController(
             return SUCCESS  # as in Nav2, a finished child is not begun again by the next start
         self._state = 0 if state == 3 else 1
         return RUNNING
-
-
-class Anew(OneChild, is_node=False):
-    """Ticks the child while it is RUNNING, at the start, and when a subclass says."""
-
-    instead = RUNNING
-    _is_due = True
-
-    def initialise(self) -> None:
-        self._is_due = True
-
-    def decide(self) -> Ticking:
-        if not self._is_due and self.child.status is not RUNNING:
-            return self.instead
-        self._is_due = False
-        return (yield from self.child.tick())
-
-
-class RateController(Anew, hz=port(float, 10.0)):
-    """Ticks the child at the start, while it is RUNNING, and 1 / `hz` [s] after it succeeded."""
-
-    _since = 0.0
-
-    def decide(self) -> Ticking:
-        clock = self.ports.blackboard.clock
-        if not self._is_due and self.child.status is not RUNNING:
-            self._is_due = (clock() - self._since) * self.ports.get("hz") >= 1 - ROUNDING_S
-        verdict = yield from super().decide()
-        if verdict is SUCCESS:
-            self._since = clock()
-        return verdict
-
-
-class SingleTrigger(Anew):
-    """Ticks the child to its end, once until this node is reset; FAILURE after that."""
-
-    instead = FAILURE
-
-    def decide(self) -> Ticking:
-        verdict = yield from super().decide()
-        self._is_due = verdict not in DONE
-        return verdict
-
-
-class GoalUpdatedController(Anew):
-    """Ticks the child at the start, while it is RUNNING, and when `goal` or `goals` has changed."""
-
-    PORTS: ClassVar = {name: port(object, required=False) for name in ("goal", "goals")}
-    _before: object = None
-
-    def decide(self) -> Ticking:
-        board = self.ports.blackboard
-        goals = [board.get(self.ports.keys.get(name, name)) for name in self.PORTS]
-        self._is_due |= goals != self._before
-        self._before = goals
-        return (yield from super().decide())

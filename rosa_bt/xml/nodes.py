@@ -8,6 +8,7 @@ SKIPPED and IDLE are INVALID here, since py_trees has no other status for them.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any, ClassVar
 
 from py_trees.behaviour import Behaviour
@@ -17,56 +18,16 @@ from py_trees.decorators import Decorator
 from py_trees.ports import PortInformation
 
 from rosa_bt.behaviours import RosaAction, Ticking
-from rosa_bt.exceptions import RosaBtError
 from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS
-from rosa_bt.xml.blackboard import Blackboard, Declared, Entry, Ports
-from rosa_bt.xml.scripts import parse_script
-from rosa_bt.xml.values import EMPTY, as_text, truth
+from rosa_bt.xml.blackboard import Declared, Entry, NodeError, Ports, Value, as_text, truth
+from rosa_bt.xml.scripts import ParsedScript, parse_script
 
 SKIPPED = INVALID
 DONE = (SUCCESS, FAILURE)
-MAX_NODES = 10_000
-"""Most nodes in one tree with all its subtrees, and so also most children of a node."""
 ROUNDING_S = 1e-9
-
-
-class NodeError(RosaBtError, RuntimeError):
-    """A node cannot do what it is given; BehaviorTree.CPP throws a LogicError in this case."""
-
-
 INSTEAD = {"_failureIf": FAILURE, "_successIf": SUCCESS, "_skipIf": SKIPPED}
 """Pre-conditions that are asked before a node starts, with its outcome if they hold."""
 RULES = (*INSTEAD, "_while", "_onHalted", "_onFailure", "_onSuccess", "_post")
-
-
-class Rules:
-    """Pre- and post-conditions of a node, by attribute, e.g.
-
-    `_skipIf`, and the blackboard that they use.
-    """
-
-    def __init__(self, blackboard: Blackboard, written: Mapping[str, str]) -> None:
-        self.blackboard = blackboard
-        self.scripts = {name: parse_script(text) for name, text in written.items()}
-
-    def holds(self, name: str, otherwise: bool) -> bool:
-        """Return whether a condition holds; `otherwise` if the node has no such condition."""
-        return truth(self.scripts[name](self.blackboard)) if name in self.scripts else otherwise
-
-    def outcome(self, status: Status) -> Status | None:
-        """Return the outcome that a pre-condition sets for a node of this status.
-
-        None if the node is to be ticked.
-        """
-        for name, verdict in INSTEAD.items() if status is SKIPPED else ():
-            if self.holds(name, False):
-                return verdict
-        return None if status in DONE or self.holds("_while", True) else SKIPPED
-
-    def follow(self, *names: str) -> None:
-        for name in names:
-            if name in self.scripts:
-                self.scripts[name](self.blackboard)
 
 
 @dataclass(eq=False)
@@ -79,14 +40,15 @@ class Slot:
     until a reset."""
     source: tuple[str, Mapping[str, str]] | None = None
     """Tag and attributes of its element; None for a behaviour that was inserted later."""
-    rules: Rules | None = None
+    rules: Mapping[str, ParsedScript] = field(default_factory=dict)
+    """Pre- and post-conditions, by attribute, e.g. `_skipIf`."""
     status: Status = field(default=INVALID, init=False)
     """Kept until the parent resets it; INVALID means idle."""
 
     def tick(self) -> Ticking:
         """Tick the child and return its outcome; INVALID if it was skipped."""
         node = self.node
-        verdict = self.rules.outcome(self.status) if self.rules else None
+        verdict = self._instead()
         if verdict is not None:
             self.reset()
             node.status = self.status = verdict
@@ -105,26 +67,29 @@ class Slot:
                 yield from node.tick()
                 self.status = node.status
             verdict = self.status
-        if self.rules and verdict in DONE:
-            self.rules.follow("_onSuccess" if verdict is SUCCESS else "_onFailure", "_post")
+        if verdict in DONE:
+            self._follow("_onSuccess" if verdict is SUCCESS else "_onFailure")
+            self._follow("_post")
         return verdict
+
+    def _instead(self) -> Status | None:
+        """Return the outcome that a pre-condition sets; None if the node is to be ticked."""
+        for rule, verdict in INSTEAD.items() if self.status is SKIPPED else ():
+            if truth(self._follow(rule, False)):
+                return verdict
+        return None if self.status in DONE or truth(self._follow("_while", True)) else SKIPPED
+
+    def _follow(self, rule: str, otherwise: Value = None) -> Value:
+        """Run the script of a rule, if the node has it, and return its value."""
+        return self.rules[rule]() if rule in self.rules else otherwise
 
     def reset(self) -> None:
         """Make the child idle; halt it if it is RUNNING."""
         if self.status is RUNNING:
             if self.node.status is RUNNING or isinstance(self.node, XmlNode):
                 self.node.stop(INVALID)
-            if self.rules:
-                self.rules.follow("_onHalted")
+            self._follow("_onHalted")
         self.status = SKIPPED
-
-    def wipe(self) -> None:
-        """Clear the behaviour's own status after a reset.
-
-        Until the next tick, pictures show the last outcome.
-        """
-        if self.status is SKIPPED and self.node.status in DONE:
-            self.node.status = INVALID
 
 
 def port(data_type: Any, default: object = None, *, required: bool = True) -> PortInformation:  # noqa: ANN401  # a type of values
@@ -139,7 +104,8 @@ class Named(Behaviour):
     """A node of a file; each subclass is the node of its name, unless it is said to be none."""
 
     PORTS: ClassVar[Declared] = {}
-    CHILDREN: ClassVar[tuple[int, int]] = (0, 0)
+    """The type of a port is None if it declares none for its entry."""
+    CHILDREN: ClassVar[tuple[float, float]] = (0, 0)
     """Least and greatest number of children."""
     ports: Ports
 
@@ -149,9 +115,6 @@ class Named(Behaviour):
         if is_node:
             NODES[cls.__name__] = cls
 
-    def __init__(self, name: str, slots: Sequence[Slot]) -> None:
-        super().__init__(name)
-
     def prepare(self, ports: Ports) -> None:
         """Take the ports; raise if a literal is wrong. Called when the node is made."""
         self.ports = ports
@@ -160,31 +123,24 @@ class Named(Behaviour):
 class XmlNode(Named, is_node=False):
     """A node with children: made of a name and the places of its children."""
 
-    CHILDREN = (1, MAX_NODES)
+    CHILDREN = (1, inf)
     FORGETS: ClassVar[tuple[str, ...]] = ()
     """Names of attributes that return to the value in the class when the node ends or is halted."""
     runs = True
     """Whether a tick makes it RUNNING first, so that it has to be reset even if it was skipped."""
-    keeps_finished: ClassVar = True
-    """Whether a finished child stays finished after the tick; in a decorator it becomes idle."""
 
     def __init__(self, name: str, slots: Sequence[Slot]) -> None:
-        nodes = [slot.node for slot in slots]
-        self._slots = list(slots)
-        if isinstance(self, Decorator):
-            Decorator.__init__(self, name, nodes[0])
-        elif isinstance(self, Composite):
-            Composite.__init__(self, name, nodes)
+        self._slots = {slot.node: slot for slot in slots}
+        nodes = list(self._slots)
+        super().__init__(name, nodes if isinstance(self, Composite) else nodes[0])  # type: ignore[call-arg]  # of the composite or decorator
 
     @property
     def slots(self) -> list[Slot]:
         """The slots of the children; a child that was inserted later has no rules."""
-        if [slot.node for slot in self._slots] != self.children:
-            by_node = {slot.node: slot for slot in self._slots}
-            self._slots = [
-                by_node.get(child) or Slot(child, is_plain(child)) for child in self.children
-            ]
-        return self._slots
+        for child in self.children:
+            if child not in self._slots:
+                self._slots[child] = Slot(child, is_plain(child))
+        return [self._slots[child] for child in self.children]
 
     def decide(self) -> Ticking:
         """Do the work of one tick."""
@@ -196,12 +152,10 @@ class XmlNode(Named, is_node=False):
 
     def tick(self) -> Iterator[Behaviour]:
         for slot in self.slots:
-            slot.wipe()
+            if slot.status is SKIPPED:  # until now, pictures show the last outcome
+                slot.node.status = INVALID
         self.status = RUNNING
-        verdict = yield from self.decide()
-        if not self.keeps_finished and self.slots[0].status in DONE:
-            self.slots[0].reset()
-        self.status = verdict
+        self.status = yield from self.decide()
         yield self
 
     def update(self) -> Status:
@@ -210,7 +164,6 @@ class XmlNode(Named, is_node=False):
     def stop(self, new_status: Status = INVALID) -> None:
         """Halt: stop the children that are RUNNING, and forget the state of the node."""
         self.status = self.end(new_status)
-        self.iterator = self.tick()
 
     def end(self, verdict: Status, *kept: Slot) -> Status:
         """Forget the state, make every child idle or halt it, and return the outcome."""
@@ -229,50 +182,53 @@ class Control(XmlNode, Composite, is_node=False):
 
     def tip(self) -> Behaviour | None:
         """Return the tip of the last child that has the same outcome."""
-        deciding = [child for child in self.children if child.status is self.status]
-        if deciding and self.status is not SKIPPED:
-            return deciding[-1].tip()
+        for child in reversed(self.children):
+            if child.status is self.status is not SKIPPED:
+                return child.tip()
         return Behaviour.tip(self)
 
 
 class OneChild(XmlNode, Decorator, is_node=False):
-    """A node with one child."""
+    """A node with one child, which becomes idle when it has finished."""
 
     CHILDREN = (1, 1)
-    keeps_finished = False
 
     @property
     def child(self) -> Slot:
         return self.slots[0]
 
     def decide(self) -> Ticking:
-        return (yield from self.child.tick())
+        verdict = yield from self.child.tick()
+        if verdict in DONE:
+            self.child.reset()
+        return verdict
 
 
 class Branch(OneChild, is_node=False):
     """Ticks its child; a root for callers that know no slots."""
 
 
-def is_plain(leaf: Behaviour | type[Behaviour]) -> bool:
+def is_plain(leaf: Behaviour) -> bool:
     """Tell whether a leaf has neither `initialise` nor `terminate`, so it is a condition."""
-    kind = leaf if isinstance(leaf, type) else type(leaf)
-    if kind.initialise is not Behaviour.initialise or kind.terminate is not Behaviour.terminate:
-        return False
-    return not (getattr(leaf, "children", ()) or issubclass(kind, RosaAction))
+    kind = type(leaf)
+    hooks = (kind.initialise, kind.terminate)
+    has_hooks = hooks != (Behaviour.initialise, Behaviour.terminate)
+    return not (has_hooks or leaf.children or isinstance(leaf, RosaAction))
 
 
 class AlwaysSuccess(Named):
     """Returns SUCCESS."""
 
+    outcome = SUCCESS
+
     def update(self) -> Status:
-        return SUCCESS
+        return self.outcome
 
 
-class AlwaysFailure(Named):
+class AlwaysFailure(AlwaysSuccess):
     """Returns FAILURE."""
 
-    def update(self) -> Status:
-        return FAILURE
+    outcome = FAILURE
 
 
 class Script(Named, code=port(str)):
@@ -280,11 +236,10 @@ class Script(Named, code=port(str)):
 
     def prepare(self, ports: Ports) -> None:
         super().prepare(ports)
-        code = ports.get("code")
-        self.script = parse_script(code) if code else lambda board: EMPTY
+        self.script = parse_script(ports.get("code"), ports.blackboard)
 
     def update(self) -> Status:
-        self.script(self.ports.blackboard)
+        self.script()
         return SUCCESS
 
 
@@ -292,10 +247,10 @@ class ScriptCondition(Script):
     """SUCCESS if the script is true, FAILURE if it is false."""
 
     def update(self) -> Status:
-        return SUCCESS if truth(self.script(self.ports.blackboard)) else FAILURE
+        return SUCCESS if truth(self.script()) else FAILURE
 
 
-class SetBlackboard(Named, value=port(object), output_key=port(object)):
+class SetBlackboard(Named, value=port(None), output_key=port(None)):
     """Writes a text, as the declared type of the entry, or copies the value of another key.
 
     As in BehaviorTree.CPP, if no type is declared, the first text empties the entry, and the second
@@ -306,29 +261,25 @@ class SetBlackboard(Named, value=port(object), output_key=port(object)):
         ports = self.ports
         board = ports.blackboard
         key = as_text(ports.get("output_key"))
-        source = Entry(str(ports.literals.get("value")), str)
+        source = Entry(ports.literals.get("value"), str)
         if "value" in ports.keys:
             source = board.entry(ports.keys["value"]) or Entry()
         value = source.value
-        entry = board.entry(key)
-        if value is EMPTY:
-            board.make(key)
+        is_new = board.entry(key) is None
+        entry = board.make(key, None if value is None else source.declared)
+        if value is None:
             return FAILURE
-        if entry is None:
-            board.make(key, source.declared).put(value)
-        elif isinstance(value, str) and (entry.declared is not None or entry.takes_any):
-            entry.take(value)
-        elif isinstance(value, str):
-            if entry.is_emptied or entry.value is EMPTY:
-                raise NodeError(
-                    f"{key!r} has no declared type, so the type of {value!r} is unknown"
-                )
-            entry.is_emptied = True
-            entry.put(EMPTY)
-        elif entry.takes_any or entry.declared in (None, source.declared, type(value)):
+        if is_new:
             entry.put(value)
+        elif entry.declared is None and isinstance(value, str):
+            if entry.is_emptied or entry.value is None:
+                raise NodeError(f"{key!r} has no declared type, so that of {value!r} is unknown")
+            entry.is_emptied = True
+            entry.put(None)
+        elif entry.declared is str and not isinstance(value, str):
+            raise NodeError(f"{key!r} is a text, so {value!r} cannot be copied there")
         else:
-            raise NodeError(f"{key!r} is {entry.declared}, so {value!r} cannot be copied there")
+            entry.take(value)
         return SUCCESS
 
 
@@ -336,11 +287,11 @@ class UnsetBlackboard(Named, key=port(str)):
     """Removes a key from the blackboard of its own tree."""
 
     def update(self) -> Status:
-        self.ports.blackboard.unset(self.ports.get("key"))
+        del self.ports.blackboard[self.ports.get("key")]
         return SUCCESS
 
 
-class WasEntryUpdated(Named, entry=port(object)):
+class WasEntryUpdated(Named, entry=port(None)):
     """SUCCESS if an entry was written since the last tick of this leaf, else FAILURE."""
 
     def update(self) -> Status:
@@ -351,9 +302,9 @@ class Sleep(Named, msec=port(int)):
     """RUNNING for `msec` [ms], then SUCCESS."""
 
     def initialise(self) -> None:
-        self._since = self.ports.blackboard.clock()
+        self._since = self.ports.blackboard.root.clock()
 
     def update(self) -> Status:
-        elapsed = self.ports.blackboard.clock() - self._since
+        elapsed = self.ports.blackboard.root.clock() - self._since
         is_over = elapsed >= self.ports.get("msec") / 1000 - ROUNDING_S
         return SUCCESS if is_over else RUNNING

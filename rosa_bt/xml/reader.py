@@ -1,25 +1,20 @@
 """Makes behaviours of the elements of a file."""
 
-import re
-import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 
 from py_trees.behaviour import Behaviour
+from py_trees.ports import PortsMixin
 
+from rosa_bt.behaviours import ActionBehaviour
 from rosa_bt.decorators import Clock, ClockFollower
 from rosa_bt.exceptions import RosaBtError, XmlError, hint, in_words
-from rosa_bt.xml.blackboard import Blackboard, Ports
-from rosa_bt.xml.document import EXPLICIT, MARKS, MAX_DEPTH, MODELS, Document, Element
-from rosa_bt.xml.nodes import MAX_NODES, NODES, RULES, Branch, Rules, Slot, is_plain
-from rosa_bt.xml.registry import BehaviourRegistry, Entry
-from rosa_bt.xml.values import BOOLS
-
-_QUOTED = re.compile(r"""'[^']*'|"[^"]*\"""")
-_OF_EDITORS = ("_autoremap", "_collapsed", "_description", "_fullpath", "_uid")
-"""Attributes, in small letters, that are no rules of a node and that editors write."""
-_SCRIPT_PORTS = {"Script": "code", "ScriptCondition": "code", "Precondition": "if"}
+from rosa_bt.xml.blackboard import Blackboard, Declared, NodeError, Ports, convert, key_of
+from rosa_bt.xml.document import MARKS, Document, Element
+from rosa_bt.xml.nodes import NODES, RULES, Branch, Slot, is_plain
+from rosa_bt.xml.registry import BehaviourRegistry, Registration
+from rosa_bt.xml.scripts import parse_script
 
 
 class SubTree(Branch, ClockFollower, is_node=False):
@@ -42,7 +37,8 @@ class SubTree(Branch, ClockFollower, is_node=False):
         self.notes = tuple(document.notes)
 
     def follow(self, clock: Clock) -> None:
-        self.blackboard.root.follow(clock)
+        if not self.blackboard.root.has_own_clock:
+            self.blackboard.root.clock = clock
 
 
 def load_xml(
@@ -62,8 +58,7 @@ def load_xml(
         tree: ID of the tree to make; without it, the `main_tree_to_execute` of the file, or its
             only tree.
         clock: gives the time [s] to Delay, Timeout and Sleep; without it, the clock of the
-            `TreeRunner`, or of the knowledge base that the registry is bound to, or else the
-            monotonic clock of this computer.
+            `TreeRunner`, or else the monotonic clock of this computer.
         enums: names that scripts can use, with their numbers, e.g. `{"RED": 1}`.
 
     Returns:
@@ -78,10 +73,7 @@ def load_xml(
     for name, element in document.trees.items():
         if name in NODES or name in registry.entries or name == "SubTree":
             raise element.error(f"{name!r} is the name of a node; rename the tree")
-    kb = registry.bound.get("kb")
-    default = time.monotonic if kb is None else lambda: float(kb.now)
-    board = Blackboard(clock or default, enums=enums)
-    board.has_own_clock = clock is not None
+    board = Blackboard(clock, enums=enums)
     return _Builder(document, registry).tree(document.main(tree), document.root, None, board)
 
 
@@ -89,10 +81,7 @@ class _Builder:
     def __init__(self, document: Document, registry: BehaviourRegistry) -> None:
         self._document = document
         self._registry = registry
-        self._count = 0
-        self._depth = 0
         self._path: list[str] = []  # IDs of the trees around the node that is being made
-        self._named: set[tuple[int, str | None]] = set()
 
     def tree(self, tree: str, asked_by: Element, name: str | None, board: Blackboard) -> SubTree:
         if tree in self._path:
@@ -103,23 +92,15 @@ class _Builder:
         return SubTree(name or tree, slot, board, tree, self._document)
 
     def _slot(self, element: Element, board: Blackboard) -> Slot:
-        self._count += 1
-        self._depth += 1
-        if self._count > MAX_NODES:
-            raise element.error(f"the tree has more than {MAX_NODES} nodes, subtrees included")
-        if self._depth > MAX_DEPTH:
-            raise element.error(f"the tree is more than {MAX_DEPTH} levels deep, subtrees included")
         try:
-            rules = self._rules(element)
             slot = self._made(element, board)
-            if rules:
-                slot.rules = Rules(board, rules)
+            rules = [name for name in RULES if name in element.attrib]
+            slot.rules = {name: parse_script(element.attrib[name], board) for name in rules}
         except XmlError:
             raise
         except Exception as error:  # constructors of the user may raise anything
             problem = str(error) if isinstance(error, RosaBtError) else in_words(error)
             raise element.error(f"<{element.node}> cannot be made: {problem}") from error
-        self._depth -= 1
         slot.source = (element.tag, element.attrib)
         return slot
 
@@ -131,47 +112,85 @@ class _Builder:
             return Slot(self._subtree(element, board))
         if entry is None and tag not in NODES:
             raise element.error(self._unknown(tag))
-        if "ID" in element.attrib and element.tag not in MODELS:
-            advice = "only <Action ID=...> and such have one; write name=..."
-            raise element.error(f"<{element.tag}> has an ID; {advice}")
         _check_children(element, *(entry.children if entry else NODES[tag].CHILDREN))
         slots = [self._slot(child, board) for child in element.children]
         if entry is not None:
             branches = [Branch(slot.node.name, [slot]) for slot in slots]
-
-            def note(text: str) -> None:
-                self._document.note(element.where, text)
-
-            node = entry.make(name, element.ports, branches, board, note)
-            return Slot(node, not slots and self._is_condition(element, entry, node))
-        built_in = NODES[tag](name, slots)
-        ports = Ports(built_in.PORTS, element.ports, board)
+            leaf = self._leaf(element, entry, branches, board)
+            return Slot(leaf, not slots and self._is_condition(element, entry, leaf))
+        kind = NODES[tag]
+        node = kind(name, slots) if slots else kind(name)  # type: ignore[call-arg]  # of an XmlNode
+        ports = Ports(node.PORTS, element.ports, board)
         ports.check_required()
-        built_in.prepare(ports)
-        return Slot(built_in, is_plain(built_in))
+        node.prepare(ports)
+        return Slot(node, is_plain(node))
 
-    def _is_condition(self, element: Element, entry: Entry, leaf: Behaviour) -> bool:
+    def _leaf(
+        self,
+        element: Element,
+        entry: Registration,
+        branches: Sequence[Branch],
+        board: Blackboard,
+    ) -> Behaviour:
+        """Make a behaviour of the user; raise if an attribute is unknown, missing, or wrong."""
+        arguments = entry.arguments
+        written = element.ports
+        literals = dict[str, str]()
+        for name, argument in arguments.items():
+            text = written.get(name)
+            if text is not None and key_of(text, name) is None:
+                literals[name] = text
+            elif argument.required:
+                advice = f"write {name}=... with a value, hand it to BehaviourRegistry"
+                problem = f"{name!r} is needed when the tree is made"
+                raise NodeError(f"{problem}; {advice}, or declare a port in INPUT_PORTS")
+        constants = Ports(arguments, literals, board)
+        offered = {
+            "name": element.get("name") or element.node,
+            "children": branches,
+            "blackboard": board,
+            **dict(zip(entry.child_parameters, branches, strict=False)),
+        }
+        behaviour = entry.make(offered, {name: constants.get(name) for name in literals})
+        inputs, outputs = ports_of(behaviour)
+        declared = {**inputs, **outputs}
+        ports = Ports({**arguments, **declared}, written, board)
+        late = [name for name in ports.keys if name not in declared]
+        for name in late:
+            if name not in vars(behaviour):
+                problem = f"{type(behaviour).__name__} keeps no attribute {name!r}; declare a port"
+                text = f"{name}={written[name]!r} is not read: {problem}"
+                self._document.note(element.where, text)
+        if late:
+            _read_at_start(behaviour, ports, late)
+        if isinstance(behaviour, PortsMixin):
+            ports.check_required({*outputs, *arguments})
+            ports.connect(behaviour)
+        if isinstance(behaviour, ActionBehaviour) and "action" not in ports.keys:
+            name = behaviour.action
+            behaviour.kb.is_feasible(name)  # raises now, not during a mission, if it is unknown
+            if ports.literals.get("action", name) != name:
+                problem = f"the constructor says already that 'action' is {name!r}"
+                raise NodeError(f"{problem}; leave action=... out")
+        return behaviour
+
+    def _is_condition(self, element: Element, entry: Registration, leaf: Behaviour) -> bool:
         model = self._document.models.get(element.node, element)
-        kinds = [entry.kind, *(tag.lower() for tag in (element.tag, model.tag) if tag in EXPLICIT)]
-        stated = [kind for kind in kinds if kind]
-        return stated[0] == "condition" if stated else is_plain(leaf)
+        for kind in (entry.kind, element.tag.lower(), model.tag.lower()):
+            if kind in ("action", "condition"):
+                return kind == "condition"
+        return is_plain(leaf)
 
     def _subtree(self, element: Element, around: Blackboard) -> SubTree:
         tree = element.needed("ID")
         _check_children(element, 0, 0)
-        autoremap = element.get("_autoremap", "false")
-        if autoremap not in BOOLS:
-            raise element.error(f"_autoremap is true or false, not {autoremap!r}")
-        name = element.get("name")
-        if name and (id(around), name) in self._named:
-            raise element.error(f"two SubTrees are named {name!r}; give one another name")
-        self._named.add((id(around), name))
-        defaults = {} if BOOLS[autoremap] else self._defaults(element, tree)
-        ports = {**defaults, **element.ports}
-        board = Blackboard(around.clock, around, ports, autoremap=BOOLS[autoremap])
-        return self.tree(tree, element, name, board)
+        autoremap = convert(element.get("_autoremap", "false"), bool)
+        defaults = {} if autoremap else self._defaults(element, tree)
+        board = Blackboard(None, around, {**defaults, **element.ports}, autoremap=autoremap)
+        return self.tree(tree, element, element.get("name"), board)
 
     def _defaults(self, element: Element, tree: str) -> dict[str, str]:
+        """Return the values of ports that the model of a tree gives."""
         model = self._document.models.get(tree, element)
         defaults = {}
         for port in model.children:
@@ -194,44 +213,32 @@ class _Builder:
         known = hint(tag, self._registry.entries, "registered behaviours")
         return f"<{tag}> is unknown; {guess}{known}"
 
-    def _rules(self, element: Element) -> dict[str, str]:
-        """Return the rules of an element.
 
-        Note attributes that look like rules, and double quotes.
-        """
-        rules = {}
-        for name in list(element.attrib):
-            if name in RULES or name == _SCRIPT_PORTS.get(element.node):
-                self._convert_quotes(element, name)
-            if name in RULES:
-                rules[name] = element.attrib[name]
-            elif name.startswith("_") and name.lower() not in _OF_EDITORS:
-                (near,) = get_close_matches(name, (*RULES, "_autoremap"), 1, 0.0)
-                if name == "__shared_blackboard":
-                    near = "_autoremap"
-                self._document.note(element.where, f"{name} means nothing; did you mean {near}?")
-        return rules
+def _read_at_start(behaviour: Behaviour, ports: Ports, names: Iterable[str]) -> None:
+    """Let a behaviour read its attributes that are keys before each `initialise`."""
+    initialise = behaviour.initialise
 
-    def _convert_quotes(self, element: Element, name: str) -> None:
-        """Write the texts of a script in single quotes, as is wanted since 4.9."""
-        before = element.attrib[name]
-        after = _QUOTED.sub(_single_quoted, before)
-        if after != before:
-            element.set(name, after)
-            self._document.note(element.where, f"{name}: texts stand in single quotes: {after}")
+    def read_and_initialise() -> None:
+        for name in names:
+            if ports.exists(name):
+                vars(behaviour)[name] = ports.get(name)
+        initialise()
+
+    vars(behaviour)["initialise"] = read_and_initialise
 
 
-def _single_quoted(match: re.Match[str]) -> str:
-    return match[0] if "'" in match[0] else f"'{match[0][1:-1]}'"
+def ports_of(behaviour: Behaviour) -> tuple[Declared, Declared]:
+    """Return the py_trees ports of a behaviour: inputs and outputs."""
+    if isinstance(behaviour, PortsMixin):
+        return behaviour.input_ports(), behaviour.output_ports()
+    return {}, {}
 
 
-def _check_children(element: Element, least: int, most: int) -> None:
+def _check_children(element: Element, least: float, most: float) -> None:
     tags = [child.node for child in element.children]
     if element.node == "ReactiveSequence" and tags.count("AsyncSequence") > 1:
         problem = "a ReactiveSequence has at most one asynchronous child; use Sequence in it"
         raise element.error(problem)
     if not least <= len(tags) <= most:
-        numbers = {MAX_NODES: f"at least {least}", least: str(least)}
-        number = numbers.get(most, f"{least} to {most}")
-        advice = "; put a Sequence around them" if most == 1 and tags else ""
-        raise element.error(f"children of <{element.node}>: {len(tags)}; it takes {number}{advice}")
+        numbers = str(least) if least == most else f"{least} to {most}"
+        raise element.error(f"children of <{element.node}>: {len(tags)}; it takes {numbers}")

@@ -153,7 +153,6 @@ def test_reason_of_a_choice_is_kept_with_choice_and_plan(lives):
     (plan,) = kb.plans
     assert plan.reason.endswith("; the least energy")
     assert kb.designs["by camera"].reason == kb.configurations["day"].reason == "the least energy"
-    assert str(kb.explain("day")).endswith("; why it was selected: the least energy")
     chosen = "?s a :Selection ; :about ?x ; :reason ?why . ?x :name ?name"
     assert set(kb.query(f"SELECT ?name ?why {{ {chosen} }}")) == {
         ("by camera", "the least energy"),

@@ -11,7 +11,7 @@ from models import NUMBERS, OPERATORS, RANDOMS, Clock, amount, compare, models, 
 from kb import KnowledgeBase, Model, Status
 from kb.elements import Constraint
 from kb.network import Network
-from kb.remedies import Interval, Measured, Repair, Requirements, remedies
+from kb.remedies import Interval, Repair, Requirements, remedies
 from kb.state import State
 from kb.status import IMPOSSIBLE, STATUSES
 
@@ -31,7 +31,6 @@ def test_conjunctions_are_exactly_what_makes_an_element_possible(model, limit):
     network = Network(model)
     nodes = [node for node in network.present() if node.kind != "attribute"]
     requirements = Requirements()
-    limited = Requirements(limit=limit)
     for numbers in product(GRID, repeat=len(model.attributes)):
         values = dict(zip(model.attributes, numbers, strict=True))
         state = State(network)
@@ -39,21 +38,22 @@ def test_conjunctions_are_exactly_what_makes_an_element_possible(model, limit):
         state.touch(network.present())
         state.infer()
         for node in nodes:
-            conjunctions, complete = requirements.of(node)
-            assert complete
+            conjunctions = requirements.of(node)
+            assert requirements.are_all
             is_possible = any(
-                all(values[name] in interval for name, interval in conjunction.items())
+                all(values[what.name] in interval for what, interval in conjunction.items())
                 for conjunction in conjunctions
             )
             assert is_possible is (state.status[node] not in IMPOSSIBLE)
     for node in nodes:
-        every = requirements.of(node).conjunctions
+        every = requirements.of(node)
         for conjunction in every:
             assert [other for other in every if other.covers(conjunction)] == [conjunction]
-        some, complete = limited.of(node)
+        limited = Requirements(limit=limit)
+        some = limited.of(node)
         assert len(some) <= limit
         assert all(any(other.covers(conjunction) for other in every) for conjunction in some)
-        assert not complete or sorted(map(str, some)) == sorted(map(str, every))
+        assert not limited.are_all or sorted(map(str, some)) == sorted(map(str, every))
 
 
 @pytest.mark.parametrize(("functions", "complete"), [(3, True), (30, False)])
@@ -66,9 +66,9 @@ def test_too_many_conjunctions_are_cut_off(functions, complete):
             name = f"{constraint.operator}{number}"
             function.design(name, [model.component(name, constraints=[constraint])])
     action = model.action("all", requires=list(model.functions))
-    alternatives = Requirements().of(Network(model).find(action))
-    assert alternatives.complete is complete
-    assert len(alternatives.conjunctions) == min(2**functions, 64)
+    requirements = Requirements()
+    assert len(requirements.of(Network(model).find(action))) == min(2**functions, 64)
+    assert requirements.are_all is complete
 
 
 INTERVALS = st.builds(Interval, *[st.sampled_from([*GRID, UP, DOWN])] * 2)
@@ -94,7 +94,7 @@ def test_interval_is_written_as_its_constraint(operator, bound):
 
 
 def subject(fact):
-    return fact.attribute if isinstance(fact, Measured) else fact
+    return fact if isinstance(fact, Repair) else fact.name
 
 
 def is_lacking(fact):
@@ -123,15 +123,15 @@ def changed(state, changes):
 def ways(remedy):
     """Return ways to bring a remedy about: as (what to change, to what)."""
     options = []
-    for fact in remedy.facts:
+    for fact, interval in remedy.items():
         values = [None]
-        if isinstance(fact, Measured):
-            low, high = fact.interval
+        if not isinstance(fact, Repair):
+            low, high = interval
             ends = (low, high, low + 1.0, high - 1.0, (low + high) / 2)
-            values = [end for end in ends if end in fact.interval and math.isfinite(end)]
+            values = [end for end in ends if end in interval and math.isfinite(end)]
         options.append(values)
     for values in product(*options):
-        yield dict(zip(map(subject, remedy.facts), values, strict=True))
+        yield dict(zip(map(subject, remedy), values, strict=True))
 
 
 def model_with_constraints(chance):
@@ -187,7 +187,7 @@ def test_each_remedy_helps_and_no_fact_of_it_is_idle(chance):
     for node in unfeasible:
         all_remedies, complete = remedies(state, node)
         assert complete
-        ranks = [(len(remedy.facts), str(remedy)) for remedy in all_remedies]
+        ranks = [(len(remedy), str(remedy)) for remedy in all_remedies]
         assert ranks == sorted(set(ranks))
         for remedy in all_remedies:
             for changes in ways(remedy):
@@ -227,9 +227,9 @@ def worlds(state):
 
 def is_brought_about(remedy, changes):
     return all(
-        changes[fact.attribute] in fact.interval
-        for fact in remedy.facts
-        if isinstance(fact, Measured)
+        changes[fact.name] in interval
+        for fact, interval in remedy.items()
+        if not isinstance(fact, Repair)
     )
 
 
@@ -246,8 +246,8 @@ def test_remedies_are_the_smallest_sets_that_trying_all_finds(chance):
         smallest = {changes for changes in good if not any(other < changes for other in good)}
         by_subjects = {}
         for remedy in remedies(state, node)[0]:
-            if not any(map(is_lacking, remedy.facts)):
-                subjects = frozenset(map(subject, remedy.facts))
+            if not any(map(is_lacking, remedy)):
+                subjects = frozenset(map(subject, remedy))
                 by_subjects.setdefault(subjects, []).append(remedy)
         assert by_subjects.keys() == smallest
         for changes, world in tried:
@@ -307,8 +307,7 @@ def test_remedies_in_words(rover, values, failed, element, words):
     explanation = rover.explain(element)
     assert [str(remedy) for remedy in explanation.remedies] == words
     if words:
-        joint = ", or " if "and" in words[-1] else " or "
-        assert str(explanation).endswith(f"; it would be feasible with {joint.join(words)}")
+        assert str(explanation).endswith(f"; it would be feasible with {', or '.join(words)}")
     elif explanation.status is Status.UNFEASIBLE:
         assert str(explanation).endswith(
             "; nothing that can be measured or repaired would make it feasible"
@@ -320,7 +319,7 @@ def test_stale_measurement_has_to_be_taken_again(rover):
     rover._clock.now += 12.0
     assert str(rover.explain(rover.configurations["day"])) == (
         "day is unfeasible because light 0.3 is stale: measured 12.0 s ago, at most 5 s; "
-        "it would be feasible with light > 0.2 measured again"
+        "it would be feasible with light > 0.2"
     )
 
 
@@ -345,7 +344,7 @@ def test_remedies_that_are_too_many_are_counted():
         kb.component_failed(name)
     explanation = kb.explain("move")
     assert (len(explanation.remedies), explanation.has_all_remedies) == (16, False)
-    words = "wheel_0 recovered or wheel_1 recovered or wheel_10 recovered or at least 13 more"
+    words = "wheel_0 recovered, or wheel_1 recovered, or wheel_10 recovered, or 13 more"
     assert str(explanation).endswith(words)
 
 
