@@ -10,7 +10,7 @@ from threading import Condition, Lock
 from typing import Any, Final, NamedTuple, Self
 
 from kb.exceptions import InvalidValue
-from kb.records import Log, ReconfigurationPlan, plain
+from kb.records import Log, ReconfigurationPlan
 from kb.status import Status
 
 
@@ -145,22 +145,12 @@ class Event(NamedTuple):
 
     def to_json(self) -> dict[str, Any]:
         """Return it as values that JSON can hold; `from_json` is the way back, but for the plan."""
-        values = {
-            "number": self.number,
-            "time": self.time,
-            "verb": self.verb,
-            "arguments": plain(self.arguments),
-        }
-        optional = {
-            "changes": [list(map(str, change)) for change in self.changes],  # there can be many
-            "cause": self.cause,
-            "effects": [list(effect) for effect in self.effects],
-            "words": self.words,
-        }
-        for name, value in optional.items():
-            if value not in ([], None, ""):
-                values[name] = value
-        return values
+        values = self._asdict()
+        del values["plan"]
+        values["arguments"] = [
+            dict(value) if isinstance(value, Mapping) else value for value in self.arguments
+        ]
+        return {name: value for name, value in values.items() if value not in ((), None, "")}
 
     @classmethod
     def from_json(cls, written: Mapping[str, Any], plan: ReconfigurationPlan | None = None) -> Self:
@@ -176,18 +166,14 @@ class Event(NamedTuple):
             StatusChange(kind, name, Status(old), Status(new))
             for kind, name, old, new in written.get("changes", ())
         ]
-        effects = [(kind, name, bool(on)) for kind, name, on in written.get("effects", ())]
-        return cls(
-            int(written["number"]),
-            float(written["time"]),
-            str(written["verb"]),
-            tuple(arguments),
-            tuple(changes),
-            written.get("cause"),
-            tuple(effects),
-            plan,
-            str(written.get("words", "")),
-        )
+        values = {
+            **written,
+            "arguments": tuple(arguments),
+            "changes": tuple(changes),
+            "effects": tuple(map(tuple, written.get("effects", ()))),
+            "plan": plan,
+        }
+        return cls(**values)
 
 
 class _Subscriber:

@@ -181,7 +181,7 @@ class _Explainer:
             return f"it is required and not active{state.reason('active', node)}", []
         if status is Status.UNSOLVED and has_choices and not parts:
             kind = "configurations" if node.kind == "component" else "designs"
-            return f"none of its {kind} is selected{state.reason('unselected', node)}", []
+            return f"none of its {kind} is selected", []
         if status is Status.SOLVED:
             return "it is required, and all that it needs is in place", []
         if status is Status.FEASIBLE:

@@ -29,10 +29,8 @@ from kb.elements import (
     flag,
     status_of,
     table,
-    text,
     whole,
 )
-from kb.elements import parameters as checked_parameters
 from kb.events import RECORDS, Event, Publisher, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
 from kb.explain import reading as reading_in_words
@@ -59,7 +57,6 @@ from kb.state import KEPT, Reason, State
 from kb.status import Status
 from kb.store import Store
 
-_OPERATIONS: Final = ("activate", "deactivate", "configure")
 _REENTRANT: Final = (
     "re-entrant call during an update: a signal handler or finalizer cannot ask or record "
     "anything in the midst of an event; do that later"
@@ -191,10 +188,6 @@ class KnowledgeBase:
     ) -> None:
         if not isinstance(model, Model):
             raise InvalidValue(f"a knowledge base is made of a kb.Model, not of {model!r}")
-        if not callable(clock):
-            raise InvalidValue(
-                f"the clock is a function that returns the time in seconds, not {clock!r}"
-            )
         whole("keep", keep)
         model.settle()
         self.model = model
@@ -210,7 +203,7 @@ class KnowledgeBase:
         self._amendment: elements.Amended | None = None  # the last change of the model
         self._followed: elements.Amended | None = None  # the last one that is recorded
         self._revision = 0
-        self.log = Log(self._lock, self._complete)
+        self.log = Log(self.reading)
         self._now = self._read_clock()
         self._publisher = Publisher(self.log, self._lock)
         self._reading = Reading(self._lock, self._settled)
@@ -283,18 +276,12 @@ class KnowledgeBase:
 
     def _repr_html_(self) -> str:
         with self.reading() as state:
-            rows = []
-            for node in state.network.present():
-                flags = {
-                    "required": state.is_required(node),
-                    "selected": node in state.selected,
-                    "active": node in state.active,
-                }
-                words = ", ".join(flag for flag, is_so in flags.items() if is_so)
-                shown = state.status.get(node, state.value.get(node))
-                rows.append((node.kind, node.name, shown, words))
+            rows = [
+                (node.kind, node.name, state.status.get(node, state.value.get(node)))
+                for node in state.network.present()
+            ]
             title = f"{self.model.name}: {situations.outline(state)}"
-            return table(title, ("kind", "name", "status or value", "and"), rows)
+            return table(title, ("kind", "name", "status or value"), rows)
 
     @property
     def now(self) -> float:
@@ -349,8 +336,6 @@ class KnowledgeBase:
             InvalidValue: the text is no query, or the query would change something.
             KnowledgeBaseError: the query did not end within the timeout.
         """
-        if finite_number(timeout) <= 0:
-            raise InvalidValue(f"a timeout is a time in seconds above 0, not {timeout!r}")
         return self._ontology.query(sparql, timeout)
 
     @property
@@ -380,7 +365,7 @@ class KnowledgeBase:
         if self._publisher.subscribers or self.log.witnesses:
             thresholds = [constraint.element.value for constraint in node.constraints]
             words = f"{attribute} is {reading_in_words(value, thresholds, node)}"
-        self._record("measure", (node.name, value), words=words)
+        self._record("measure", node.name, value, words=words)
 
     @_update
     def component_failed(self, component: str, reason: str = "") -> None:
@@ -388,11 +373,10 @@ class KnowledgeBase:
 
         Explanations and the store give the reason, in words.
         """
-        text("the reason of a failure", reason)
         node = self._network.components[component]
         is_news = reason not in ("", self._state.reason("failed", node).text)
         if is_news or node not in self._state.failed:
-            self._record("component_failed", (node.name, reason))
+            self._record("component_failed", node.name, str(reason))
 
     @_update
     def component_recovered(self, component: str) -> None:
@@ -400,7 +384,7 @@ class KnowledgeBase:
         node = self._network.components[component]
         state = self._state
         if node in state.failed or state.asserted.get(node) is Status.FAILURE:
-            self._record("component_recovered", (node.name,))
+            self._record("component_recovered", node.name)
 
     @_update
     def component_active(self, component: str, active: bool, reason: str = "") -> None:
@@ -409,9 +393,8 @@ class KnowledgeBase:
         If it is not, explanations give the reason, in words.
         """
         node = self._network.components[component]
-        text("the reason why a component is not active", reason)
         if (node in self._state.active) != flag("active", active, InvalidValue):
-            self._record("component_active", (node.name, active, reason))
+            self._record("component_active", node.name, active, str(reason))
 
     def receive(
         self, diagnostics: object, *, rules: DiagnosticRules | None = None
@@ -450,23 +433,23 @@ class KnowledgeBase:
             until: when it lapses by itself [s, by the clock of this base], later than now; None or
                 `math.inf`: never.
         """
-        text("the reason of an asserted status", reason)
         end = None if until is None or until == inf else finite_number(until)
         node = self._node(element, ELEMENTS)
-        wanted = status_of(node.kind, status)
+        wanted = str(status_of(node.kind, status))
         if end is not None and end <= self._now:
             raise InvalidValue(
                 f"a status is asserted until later than now, {self._now!r} s by the clock; "
                 f"not {until!r}"
             )
+        reason = str(reason)
         words = f"{node.name} is asserted {wanted}{Reason(reason, end)}"
-        self._record("assert_status", (node.ref, str(wanted), reason, end), words=words)
+        self._record("assert_status", node.ref, wanted, reason, end, words=words)
 
     @_update
     def retract_status(self, element: ElementLike) -> None:
         """Take back an asserted status; the inferred status holds again."""
         node = self._node(element, ELEMENTS)
-        self._record("retract_status", (node.ref,), words=f"{node.name} is no longer asserted")
+        self._record("retract_status", node.ref, words=f"{node.name} is no longer asserted")
 
     @_update
     def assert_required(self, element: ElementLike, required: bool | None) -> None:
@@ -475,20 +458,17 @@ class KnowledgeBase:
         False or None takes that back, but not an inferred requirement.
         """
         node = self._node(element, ("action", "function", "component"))
-        if required is not None:
-            flag("required", required, InvalidValue)
-        self._record("assert_required", (node.ref, required))
+        flag("required", required or False, InvalidValue)
+        self._record("assert_required", node.ref, required)
 
     @_update
     def assert_selected(
         self, element: ElementLike, selected: bool | None, reason: str = ""
     ) -> None:
         """State whether a design or configuration is selected; explanations give the reason."""
-        text("the reason why something is selected or not", reason)
         node = self._node(element, ("function design", "configuration"))
-        if selected is not None:
-            flag("selected", selected, InvalidValue)
-        self._record("assert_selected", (node.ref, selected, reason))
+        flag("selected", selected or False, InvalidValue)
+        self._record("assert_selected", node.ref, selected, str(reason))
 
     # ---------------------------------------------------------------- record actions and plans
 
@@ -520,7 +500,7 @@ class KnowledgeBase:
             return Reply(False, why(self._state, node, self._now))
         if cause is None:
             cause = self._cause_of_request()
-        self._record("request_action", (node.name, wanted), cause)
+        self._record("request_action", node.name, wanted, cause=cause)
         return Reply(True, f"{node.name} is required")
 
     @_update
@@ -540,13 +520,12 @@ class KnowledgeBase:
         """
         node = self._network.actions[action]
         check_result(result)
-        text("the reason why an action ends", reason)
         if node.name not in self._records.required:
             return
         is_unfeasible = self._state.status[node] is Status.UNFEASIBLE
         if cause is None and result != "completed" and is_unfeasible:
             cause = self._state.changed_by.get(node)
-        self._record("cancel_action", (node.name, result, reason), cause)
+        self._record("cancel_action", node.name, result, str(reason), cause=cause)
 
     @_update
     def select(
@@ -578,34 +557,22 @@ class KnowledgeBase:
         Raises:
             InvalidValue: a design or configuration is unfeasible now; nothing is selected.
         """
-        if reason != "":
-            text("the reason of a choice", reason)
         state = self._state
-        designs_chosen = _chosen(self._network.designs, self._network.functions, designs)
-        configured = _chosen(self._network.configurations, self._network.components, configurations)
-        nodes = [*designs_chosen, *configured]
+        network = state.network
+        nodes = _chosen(network.designs, network.functions, designs)
+        nodes += _chosen(network.configurations, network.components, configurations)
         for node in nodes:
             if state.status[node] is Status.UNFEASIBLE:
                 raise Unselectable(f"{node} cannot be selected: {why(state, node, self._now)}")
         if cause is None:
             cause = self._cause_of_choice(nodes)
         words = why_selected(state, nodes, self._now, reason, self._records.end_reasons.values())
-        selection = state.decide(nodes)
-        if dry_run:
-            return selection.plan(words, self._now)
         number = next(reversed(self._records.plans), 0) + 1
-        plan = selection.plan(words, self._now, cause, number)
-        effects = tuple(
-            (node.kind, node.name, node not in state.selected) for node in selection.flips
-        )
-        is_reason_new = any(
-            state.reasons.get(("selected", node), Reason()).text != reason
-            or ("unselected", node.used_by[0]) in state.reasons
-            for node in nodes
-        )
-        if plan or effects or is_reason_new:
+        flips, plan = state.decide(nodes, words, self._now, cause, number)
+        effects = tuple((node.kind, node.name, node not in state.selected) for node in flips)
+        if (plan or effects) and not dry_run:
             choice = [MappingProxyType(dict(each or {})) for each in (designs, configurations)]
-            self._record("select", (*choice, reason), cause, effects=effects, plan=plan)
+            self._record("select", *choice, str(reason), cause=cause, effects=effects, plan=plan)
         return plan
 
     @_update
@@ -619,7 +586,7 @@ class KnowledgeBase:
         record = self._plan_of(plan)
         if record.end is not None:
             return False
-        self._record("finish_plan", (record.number, result), record.cause)
+        self._record("finish_plan", record.number, result, cause=record.cause)
         return True
 
     # ---------------------------------------------------------------- record what is done
@@ -631,17 +598,15 @@ class KnowledgeBase:
         It need not be active yet.
         """
         name = self._network.components[component].name
-        self._record("component_started", (name, whole("a process number", pid, 0)))
+        self._record("component_started", name, int(pid))
         return next(reversed(self._records.processes.values()))
 
     @_update
     def component_ended(self, component: str, pid: int | None = None) -> None:
         """Record that a process of a component has ended: that of this number, else all of them."""
-        if pid is not None:
-            whole("a process number", pid, 0)
         name = self._network.components[component].name
         if self._records.running(name, pid):
-            self._record("component_ended", (name, pid))
+            self._record("component_ended", name, pid)
 
     @_update
     def record_attempt(
@@ -663,20 +628,10 @@ class KnowledgeBase:
             parameters: the parameters to set.
             number: 1 for the first time that the plan gives this command.
         """
-        if operation not in _OPERATIONS:
-            raise InvalidValue(
-                f"{operation!r} is no operation; an operation is one of {', '.join(_OPERATIONS)}"
-            )
-        name = self._network.components[component].name
-        if configuration is not None:
-            configuration = self._network.configurations[configuration].name
-        values = parameters or {}
-        if not isinstance(values, MappingProxyType):  # those of an element are checked already
-            values = checked_parameters(name, values)
-        if number != 1:
-            whole("the number of an attempt", number)
         of = self._plan_of(plan).number
-        self._record("record_attempt", (of, name, operation, configuration, values, number))
+        name = self._network.components[component].name
+        values = MappingProxyType(dict(parameters or {}))
+        self._record("record_attempt", of, name, operation, configuration, values, number)
         return next(reversed(self._records.attempts.values()))
 
     @_update
@@ -690,17 +645,11 @@ class KnowledgeBase:
         """
         if result not in RESULTS:
             check_result(result)
-        if reason != "":
-            text("the reason why an attempt ends", reason)
         serial = attempt.serial if isinstance(attempt, Attempt) else attempt
-        if type(serial) is not int:
-            raise InvalidValue(
-                f"{attempt!r} is no attempt; give one of kb.history.attempts, or its serial number"
-            )
         record = self._records.attempts.get(serial)
         if record is None or record.end is not None:
             return False
-        self._record("finish_attempt", (serial, result, reason))
+        self._record("finish_attempt", serial, result, str(reason))
         return True
 
     @_update
@@ -708,10 +657,8 @@ class KnowledgeBase:
         self, plan: ReconfigurationPlan | int, is_vetoed: bool, reason: str = ""
     ) -> VetoAnswer:
         """Record whether a plan was vetoed before its execution, and why."""
-        flag("is_vetoed", is_vetoed, InvalidValue)
-        text("the reason of an answer", reason)
         number = self._plan_of(plan).number
-        self._record("record_answer", (number, is_vetoed, reason))
+        self._record("record_answer", number, bool(is_vetoed), str(reason))
         return next(reversed(self._records.answers.values()))
 
     # ---------------------------------------------------------------- the log
@@ -726,11 +673,11 @@ class KnowledgeBase:
         Raises:
             InvalidValue: the event cannot be replayed; nothing has changed.
         """
-        verb = event.verb if isinstance(event, Event) else ""
+        verb = event.verb
         if verb in ("begin", "store") or (self._is_timed and verb in ("dwell", "lapse")):
             self._catch_up_with_time()
             return
-        arguments = event.arguments if verb else ()
+        arguments = event.arguments
         if verb in ("stale", "dwell", "lapse"):
             arguments = verb, *arguments
             verb = "replay_due"
@@ -756,8 +703,8 @@ class KnowledgeBase:
     @_update
     def _progress(self, action: str, behaviour: str, saved: str) -> None:
         before = self._records.progress.get((action, behaviour), "")
-        if before != text("what is saved", saved):
-            self._record("progress", (action, behaviour, saved))
+        if before != saved:
+            self._record("progress", action, behaviour, saved)
 
     @_update
     def _replay_due(self, verb: str, element: Any, *_: object) -> None:  # noqa: ANN401  # a name or reference
@@ -802,18 +749,13 @@ class KnowledgeBase:
     def _record(
         self,
         verb: str,
-        arguments: tuple[Any, ...],
-        cause: int | None = None,
-        *,
-        effects: tuple[tuple[str, str, bool], ...] = (),
-        plan: ReconfigurationPlan | None = None,
-        words: str = "",
+        *arguments: object,
         time: float | None = None,
+        **details: Any,  # noqa: ANN401  # other fields of an event
     ) -> None:
         """Record an event, which has been decided, and apply it."""
         at = self._now if time is None else time
-        number = self.log.last + 1
-        self._event = Event(number, at, verb, arguments, (), cause, effects, plan, words)
+        self._event = Event(self.log.last + 1, at, verb, arguments, **details)
         self._complete_event()  # from here on it is in
 
     def _complete_event(self) -> None:
@@ -852,7 +794,7 @@ class KnowledgeBase:
         is_cause = not (is_switched and self._records.open_plans)  # else a plan has switched it
         changes = []
         changed = [node for node, old in state.before.items() if state.status[node] is not old]
-        for node in sorted(changed, key=attrgetter("level", "index")):
+        for node in sorted(changed, key=attrgetter("index")):
             change = StatusChange(node.kind, node.name, state.before[node], state.status[node])
             changes.append(change)
             if is_cause:
@@ -872,21 +814,14 @@ class KnowledgeBase:
             self.model.settle()
         last = self.log.time  # before the clock: another thread may record something meanwhile
         now = self._clock()
-        if type(now) is float and last <= now < inf:
-            return now
-        try:
-            shown = finite_number(now)
-        except InvalidValue as error:
+        is_time = isinstance(now, int | float) and isfinite(now)
+        if not is_time or now < last - _CLOCK_SLACK_S:
             raise InvalidValue(
-                f"the clock gives {now!r} for the time in seconds: {error}; nothing was recorded"
-            ) from None
-        if shown < last - _CLOCK_SLACK_S:
-            raise InvalidValue(
-                f"the clock went back, from {last!r} s to {shown!r} s, and facts keep their order: "
-                "give the knowledge base a clock that is not set back, e.g. time.monotonic; "
+                f"the clock gives {now!r} after {last!r} s, and facts keep their order: give the "
+                "knowledge base a clock in seconds that is not set back, e.g. time.monotonic; "
                 "nothing was recorded"
             )
-        return max(shown, last)
+        return max(float(now), last)
 
     def _prepare(self, now: float) -> None:
         """Complete what was interrupted, and record what time has caused until now [s]."""
@@ -905,14 +840,14 @@ class KnowledgeBase:
         state = self._state
         if what == "stale":
             words = f"{node.name} {staleness(state.time.get(node), node, time)}"
-            self._record(what, (node.name,), words=words, time=time)
+            self._record(what, node.name, words=words, time=time)
         elif what == "dwell":
             words = f"{node.name} is {state.judged(node, time)[0].status}, after its dwell"
-            self._record(what, (node.ref,), words=words, time=time)
+            self._record(what, node.ref, words=words, time=time)
         else:
             status = str(state.asserted.get(node))
             words = f"{node.name} is no longer asserted {status}: its time is over"
-            self._record(what, (node.ref, status), words=words, time=time)
+            self._record(what, node.ref, status, words=words, time=time)
 
     def _catch_up_with_time(self) -> None:
         """Record what time has caused until now, unless this thread is just recording a fact."""
@@ -921,13 +856,6 @@ class KnowledgeBase:
             if self._event is not None or not self._updating.locked():
                 self._prepare(now)
         self._publish()
-
-    def _complete(self) -> None:
-        """Complete a change of the model, or an event, that was interrupted."""
-        if self.model.pending is not None:
-            self.model.settle()
-        with self._lock:
-            self._settled()
 
     def _settled(self) -> State:
         """Return the state, after an interrupted event is completed."""
@@ -992,11 +920,11 @@ class KnowledgeBase:
         for element in change.elements if change.how == "removed" else ():
             if isinstance(element, Action) and element.name in self._records.required:
                 reason = "it is no longer in the model"
-                self._record("cancel_action", (element.name, "abandoned", reason))
+                self._record("cancel_action", element.name, "abandoned", reason)
         self._amendment = change
         names = [str(getattr(element, "name", element)) for element in change.elements]
         words = f"{', '.join(names)} {change.how} in the model"
-        self._record("amend", (change.how, change.written), words=words)
+        self._record("amend", change.how, change.written, words=words)
 
     def _renew(self) -> None:
         """Follow the model as it is now; it can be repeated."""
@@ -1054,32 +982,31 @@ class KnowledgeBase:
             self._complete_event()
         self.log.resume(store.saved)
         for number in list(self._records.open_plans):  # an earlier program left them
-            self._record("finish_plan", (number, "abandoned"))
+            self._record("finish_plan", number, "abandoned")
         for attempt in list(self._records.attempts.values()):
             if attempt.end is None:
-                arguments = (attempt.serial, "abandoned", "its result is not known")
-                self._record("finish_attempt", arguments)
+                reason = "its result is not known"
+                self._record("finish_attempt", attempt.serial, "abandoned", reason)
         self.log.time = -inf  # the clock may have started again at 0
         store.left = tuple(self._records.required)
 
     def _record_store_message(self, words: str) -> None:
         """Record how the store is."""
         with self._lock, self._updating:
-            self._record("store", (words,))
+            self._record("store", words)
         self._publish()
 
-    def _plan_of(self, plan: object) -> ReconfigurationPlan:
+    def _plan_of(self, plan: ReconfigurationPlan | int) -> ReconfigurationPlan:
         """Return a plan of this base, given by itself or by its number."""
-        number = plan.number if isinstance(plan, ReconfigurationPlan) else plan
         plans = self._records.plans
-        own = plans.get(number) if type(number) is int else None
-        if own is not None and plan in (own, number):
-            return own
-        numbers = f"{min(plans)} to {max(plans)}" if plans else "none yet"
-        raise InvalidValue(
-            f"{plan!r} is not a plan of this knowledge base; give one of kb.plans "
-            f"(numbers: {numbers})"
-        )
+        number = plan.number if isinstance(plan, ReconfigurationPlan) else plan
+        if number not in plans or plan not in (number, plans[number]):
+            numbers = f"{min(plans)} to {max(plans)}" if plans else "none yet"
+            raise InvalidValue(
+                f"{plan!r} is not a plan of this knowledge base; give one of kb.plans "
+                f"(numbers: {numbers})"
+            )
+        return plans[number]
 
     def _node(self, element: ElementLike, kinds: Iterable[str]) -> Node:
         return resolve(self, self._state, element, kinds, unique=True)
@@ -1092,10 +1019,6 @@ def _chosen(
 
     Each choice must be a part of its owner.
     """
-    if choice is not None and not isinstance(choice, Mapping):
-        raise InvalidValue(
-            f"what is selected is given as choice by name of what it is for, not as {choice!r}"
-        )
     nodes = []
     for owner_name, name in (choice or {}).items():
         node = parts[name]

@@ -60,12 +60,10 @@ def choice_by_priority(state: State) -> Choice | None:
     adaptable = sorted(state.adaptable, key=attrgetter("index"))
     functions = [node for node in adaptable if node.kind == "function"]
     designs = firsts_by_priority(state, functions)
-    selection = state.decide(designs)
-    if selection.flips:
-        following = state.copy()
-        following.select(selection.flips)
-        adaptable = in_order(following.adaptable)
-    given_up = selection.deactivate
+    flips, plan = state.decide(designs)
+    if flips:
+        adaptable = in_order(state.after(flips).adaptable)
+    given_up = plan.deactivate if plan else ()
     components = [
         node for node in adaptable if node.kind == "component" and node.name not in given_up
     ]

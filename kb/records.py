@@ -8,9 +8,9 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields
 from itertools import islice
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
-from kb.elements import Parameters, PlanFact, ProcessFact, RequiredActionFact, table
+from kb.elements import Parameters, PlanFact, ProcessFact, RequiredActionFact
 from kb.exceptions import InvalidValue
 
 T = TypeVar("T")
@@ -112,17 +112,6 @@ class ReconfigurationPlan:
     def __repr__(self) -> str:
         return f"<ReconfigurationPlan {self} ({self.result or 'open'})>"
 
-    def _repr_html_(self) -> str:
-        steps = (
-            ("stop", self.deactivate),
-            ("start", self.activate),
-            ("configure", self.parameters),
-        )
-        rows = [(verb, name) for verb, names in steps for name in names]
-        return table(
-            f"plan {self.number}, {self.result or 'open'}: {self.reason}", ("step", "what"), rows
-        )
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Process:
@@ -214,9 +203,8 @@ class Log:
             the base is held.
     """
 
-    def __init__(self, lock: AbstractContextManager[object], catch_up: Callable[[], None]) -> None:
-        self._lock = lock
-        self.catch_up = catch_up  # called before all are looked at: what was interrupted ends
+    def __init__(self, reading: Callable[[], AbstractContextManager[object]]) -> None:
+        self.reading = reading  # completes what was interrupted, and holds the base
         self._events: deque[Any] = deque(maxlen=_MOST_EVENTS)
         self.last = 0
         self.time = -math.inf
@@ -237,13 +225,12 @@ class Log:
 
     def since(self, number: int) -> Iterator[Any]:
         """Yield the events after one, in order."""
-        with self._lock:
+        with self.reading():
             newest = list(islice(reversed(self._events), max(0, self.last - number)))
         newest.reverse()
         return iter(newest)
 
     def __iter__(self) -> Iterator[Any]:
-        self.catch_up()
         return self.since(0)
 
     def __len__(self) -> int:
@@ -363,73 +350,64 @@ class Records:
         self, fact: RequiredActionFact | PlanFact | ProcessFact, number: int, now: float
     ) -> None:
         """Add a record that a model states; a missing start is the end, or else now [s]."""
-        start = fact.start
-        if start is None:
-            start = now if fact.end is None else fact.end
         values = {field.name: getattr(fact, field.name) for field in fields(fact)}
-        values |= {"start": start, "number": number}
+        if fact.start is None:
+            values["start"] = now if fact.end is None else fact.end
+        if values.get("result") is not None and fact.end is None:
+            values["end"] = values["start"]
         if isinstance(fact, ProcessFact):
-            self._add(self.processes, Process(**values))
-            return
-        if fact.end is None and fact.result is not None:
-            values["end"] = start
-        if isinstance(fact, PlanFact):
+            self._add(self.processes, Process(**values, number=number))
+        elif isinstance(fact, PlanFact):
             values |= {"reason": "stated by the model", "number": len(self.plans) + 1}
             self._add(self.plans, ReconfigurationPlan(**values))
-            return
-        if fact.preference and list(fact.preference.values()) == [1.0]:
-            (values["preference"],) = fact.preference
-        self._add(self.requests, RequiredAction(**values))
+        else:
+            self._add(self.requests, RequiredAction(**values, number=number))
+
+
+class _Table(Generic[T]):
+    """A property of the history: the records of a kind, in order."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, view: "HistoryView", _: type) -> tuple[T, ...]:
+        with view.reading():
+            return tuple(vars(view.records)[self._name].values())
 
 
 class HistoryView:
-    """The records that are needed less often; old ones that have ended may be forgotten."""
+    """The records that are needed less often; old ones that have ended may be forgotten.
+
+    Attributes:
+        actions: the actions that are or were required, in the order of the requests.
+        open_plans: the plans that have not ended, in the order in which they were made.
+        processes: the processes in which components ran or run, in the order of their starts.
+        attempts: the commands that were given, in order, each with its result.
+        answers: the answers to whether a plan may be executed, in order.
+        rejected: how many values of diagnostics could not be used so far.
+        progress: the saved progress of interrupted actions, by action and behaviour.
+    """
 
     def __init__(
         self, records: Records, reading: Callable[[], AbstractContextManager[object]]
     ) -> None:
-        self._records = records
-        self._reading = reading
+        self.records = records
+        self.reading = reading
 
-    @property
-    def actions(self) -> tuple[RequiredAction, ...]:
-        """The actions that are or were required, in the order of the requests."""
-        return self._all(self._records.requests)
-
-    @property
-    def open_plans(self) -> tuple[ReconfigurationPlan, ...]:
-        """The plans that have not ended, in the order in which they were made."""
-        return self._all(self._records.open_plans)
-
-    @property
-    def processes(self) -> tuple[Process, ...]:
-        """The processes in which components ran or run, in the order of their starts."""
-        return self._all(self._records.processes)
-
-    @property
-    def attempts(self) -> tuple[Attempt, ...]:
-        """The commands that were given, in order, each with its result."""
-        return self._all(self._records.attempts)
-
-    @property
-    def answers(self) -> tuple[VetoAnswer, ...]:
-        """The answers to whether a plan may be executed, in order."""
-        return self._all(self._records.answers)
+    actions = _Table[RequiredAction]("requests")
+    open_plans = _Table[ReconfigurationPlan]("open_plans")
+    processes = _Table[Process]("processes")
+    attempts = _Table[Attempt]("attempts")
+    answers = _Table[VetoAnswer]("answers")
 
     @property
     def rejected(self) -> int:
-        """How many values of diagnostics could not be used so far."""
-        return self._records.rejected
+        return self.records.rejected
 
     @property
     def progress(self) -> Mapping[tuple[str, str], str]:
-        """The saved progress of interrupted actions, by action and behaviour."""
-        with self._reading():
-            return {key: saved for key, saved in self._records.progress.items() if saved}
-
-    def _all(self, table: Mapping[int, T]) -> tuple[T, ...]:
-        with self._reading():
-            return tuple(table.values())
+        with self.reading():
+            return {key: saved for key, saved in self.records.progress.items() if saved}
 
 
 def check_result(result: str) -> None:
@@ -442,15 +420,6 @@ def read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
 
 
 copyreg.pickle(MappingProxyType, lambda mapping: (read_only, (dict(mapping),)))
-
-
-def plain(value: object) -> object:
-    """Return a value in a form that JSON can hold; a plan becomes its number."""
-    if isinstance(value, tuple | list):
-        return [plain(item) for item in value]
-    if isinstance(value, Mapping):
-        return {key: plain(item) for key, item in value.items()}
-    return value.number if isinstance(value, ReconfigurationPlan) else value
 
 
 def _finish(record: Record, **values: object) -> None:

@@ -92,10 +92,8 @@ def adaptable_components(
     """
     names = listed("designs", designs.values() if isinstance(designs, Mapping) else designs)
     with base.reading() as state:
-        supposed = state.copy()
-        designs_chosen = [state.network.designs[name] for name in names]
-        supposed.select(supposed.decide(designs_chosen).flips)
-        return _adaptable(supposed, "component")
+        flips, _ = state.decide([state.network.designs[name] for name in names])
+        return _adaptable(state.after(flips), "component")
 
 
 def obsolete(base: Readable) -> Obsolete:

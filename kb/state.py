@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 from kb.debounce import NEVER, Debounced, debounce, policy_status, voted_status
 from kb.elements import Attribute, Changeable, ComponentKind, Constraint, Parameters
 from kb.events import Event
-from kb.network import LEVELS, Network, Node
+from kb.network import Network, Node
 from kb.records import ReconfigurationPlan
 from kb.status import (
     OPERATORS,
@@ -33,8 +33,6 @@ KEPT: Final = 10_000
 
 
 _UNSTORED: Final = ("network", "keep", "_outdated")
-_CONFIGURATION: Final = LEVELS["configuration"]
-_COMPONENT: Final = LEVELS["component"]
 
 
 class Reason(NamedTuple):
@@ -52,33 +50,6 @@ class Reason(NamedTuple):
 
 
 NO_REASON: Final = Reason()
-
-
-class Selection(NamedTuple):
-    """What a choice changes.
-
-    Attributes:
-        flips: the designs and configurations that are selected and were not, or the other way
-            round.
-        activate, deactivate, parameters: what the managed system has to do then, by name.
-        plain: those of them that are not commanded.
-    """
-
-    flips: tuple[Node, ...]
-    activate: tuple[str, ...]
-    deactivate: tuple[str, ...]
-    parameters: tuple[str, ...]
-    plain: tuple[str, ...]
-
-    def plan(
-        self, reason: str, time: float, cause: int | None = None, number: int = 0
-    ) -> ReconfigurationPlan | None:
-        """Return the plan that carries it out; None if there is nothing to do."""
-        steps = self.activate, self.deactivate, self.parameters
-        if not any(steps):
-            return None
-        plain = self.plain
-        return ReconfigurationPlan(*steps, reason, time, plain=plain, cause=cause, number=number)
 
 
 class State:
@@ -133,7 +104,7 @@ class State:
         self._due: dict[tuple[str, Node], float] = {}
         self._obsolete: set[Node] = set()
         self._inactive_required: set[Node] = set()
-        self._outdated: list[set[Node]] = [set() for _ in LEVELS]
+        self._outdated: dict[str, set[Node]] = {kind: set() for kind in network.kinds}
         self.touch(network.present())
         self.infer()
         self.before = {}
@@ -144,7 +115,7 @@ class State:
         for name, content in vars(self).items():
             is_copied = isinstance(content, dict | set) and name != "histories"
             vars(other)[name] = content.copy() if is_copied else content
-        other._outdated = [set() for _ in LEVELS]
+        other._outdated = {kind: set() for kind in self._outdated}
         return other
 
     def facts(self) -> dict[str, Any]:
@@ -198,8 +169,19 @@ class State:
 
     # ---------------------------------------------------------------- choosing
 
-    def decide(self, chosen: Sequence[Node]) -> Selection:
-        """Decide what a choice changes; what is obsolete is given up. Nothing changes yet."""
+    def decide(
+        self,
+        chosen: Sequence[Node],
+        reason: str = "",
+        time: float = 0.0,
+        cause: int | None = None,
+        number: int = 0,
+    ) -> tuple[list[Node], ReconfigurationPlan | None]:
+        """Decide what a choice changes; what is obsolete is given up. Nothing changes yet.
+
+        Returns the designs and configurations that are selected and were not, or the other way
+        round, and the plan that carries it out; None if there is nothing to do.
+        """
         flips = []
         for node in chosen:
             is_of_use = self._is_of_use(node)
@@ -231,13 +213,26 @@ class State:
             node for node in (*switched, *released) if node.element.kind is ComponentKind.PLAIN
         ]
         nodes = switched, released, configured, plain
-        return Selection(tuple(flips), *(tuple(node.name for node in each) for each in nodes))
+        activate, deactivate, parameters, names = (
+            tuple(node.name for node in each) for each in nodes
+        )
+        if not (activate or deactivate or parameters):
+            return flips, None
+        plan = ReconfigurationPlan(
+            *(activate, deactivate, parameters, reason, time),
+            plain=names,
+            cause=cause,
+            number=number,
+        )
+        return flips, plan
 
-    def select(self, flips: Iterable[Node]) -> None:
-        """Select and unselect in a copy of a state."""
-        self.touch(flips)
-        self.selected = self.selected.symmetric_difference(flips)
-        self.infer()
+    def after(self, flips: Iterable[Node]) -> "State":
+        """Return a copy in which these are selected if they were not, or the other way round."""
+        state = self.copy()
+        state.touch(flips)
+        state.selected.symmetric_difference_update(flips)
+        state.infer()
+        return state
 
     # ---------------------------------------------------------------- events
 
@@ -274,9 +269,6 @@ class State:
             case "assert_selected", (ref, selected, reason):
                 node = network.referred(ref)
                 self.set_flag("selected", node, bool(selected), reason if selected else "")
-                owner = node.used_by[0]
-                is_without = self.selected.isdisjoint(owner.requires)
-                self.give_reason("unselected", owner, reason if is_without else "")
             case "request_action", (name, _):
                 self.set_flag("requested", network.actions[name], True)
             case "cancel_action", (name, *_):
@@ -290,7 +282,6 @@ class State:
                     nodes.append(node)
                 for node in nodes:
                     self.give_reason("selected", node, reason if node in self.selected else "")
-                    self.give_reason("unselected", node.used_by[0])
         self.infer()
 
     def set_measurement(self, node: Node, value: float, time: float, number: int) -> None:
@@ -303,7 +294,7 @@ class State:
                 holds = OPERATORS[constraint.element.operator]
                 threshold = constraint.element.value
                 if holds(value, threshold) is not holds(before, threshold):
-                    self._outdated[0].add(constraint)
+                    self._outdated["constraint"].add(constraint)
         self.value[node] = value
         self.time[node] = time
         self.stale.discard(node)
@@ -428,34 +419,33 @@ class State:
         outdated = self._outdated
         for node in nodes:
             if node.kind == "attribute":
-                outdated[0].update(node.constraints)
+                outdated["constraint"].update(node.constraints)
                 continue
-            outdated[node.level].add(node)
+            outdated[node.kind].add(node)
             if node.kind in ("action", "function"):
                 self.touch(node.requires)
             if node.kind == "function":  # what is obsolete may differ
                 for design in node.requires:
                     for component in design.requires:
-                        outdated[_CONFIGURATION].update(component.requires)
+                        outdated["configuration"].update(component.requires)
             elif node.kind == "function design":
-                outdated[_COMPONENT].update(node.requires)
-                outdated[node.level + 1].update(node.used_by)
+                outdated["component"].update(node.requires)
+                outdated["function"].update(node.used_by)
             elif node.kind == "configuration":
-                outdated[_COMPONENT].update(node.used_by)
+                outdated["component"].update(node.used_by)
 
     def infer(self) -> None:
         """Infer what is outdated. A node stays outdated until all that follows is stored."""
-        lowest = self._outdated[0]  # constraints
-        for level in self._outdated:
+        for kind, level in self._outdated.items():
             while level:
                 node = next(iter(level))
                 new = self._infer(node)
                 old = self.status.get(node)
                 if new is not old:
-                    unset = Status.NOT_EVALUATED if level is lowest else Status.FEASIBLE
+                    unset = Status.NOT_EVALUATED if kind == "constraint" else Status.FEASIBLE
                     self.before.setdefault(node, old or unset)
                     for user in node.used_by:
-                        self._outdated[user.level].add(user)
+                        self._outdated[user.kind].add(user)
                     self.status[node] = new
                 if node.kind in ("function", "component"):
                     _put(self.adaptable, node, _is_adaptable(node, new))
@@ -518,7 +508,7 @@ class State:
         nodes = {node.element: node for node in network.present()}
         state = self.copy()
         state.network = network
-        for name, content in vars(self).items():
+        for name, content in self.facts().items():
             if isinstance(content, set):
                 vars(state)[name] = {node for key in content if (node := _moved(key, nodes))}
             elif isinstance(content, dict):

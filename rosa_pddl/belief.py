@@ -20,17 +20,18 @@ from rosa_pddl.domain import (
     SensingError,
     State,
     Step,
-    UnknownObjectError,
     arguments_of,
     exact,
     feasible_atoms,
     head_of,
     initial_state,
+    nearest,
     number_fact,
     numbers_in,
     without_feasibility,
 )
 from rosa_pddl.grounding import binding_of
+from rosa_pddl.reader import atom_of
 from rosa_pddl.validate import changes, ended, started
 
 _MOST_DOMAINS = 8
@@ -194,18 +195,23 @@ class Belief:
     def _sorted(self, answer: Mapping[str, bool | float]) -> _Sensed:
         facts: dict[str, bool] = {}
         numbers: dict[str, float] = {}
+        objects = {name.lower() for name in self.domain.types}
         for text, value in answer.items():
             if not isinstance(text, str):
                 message = f"sense returned {text!r}: {value!r}, expected a text first"
                 raise SensingError(f"{message} such as '(lit room)'")
             if " - " in text:
                 continue  # an object, which the executor has added already
-            try:
-                atom = self.domain.atom(text)
-            except UnknownObjectError as error:  # the world may have more objects
+            strange = {*text.lower().strip("() ").split()[1:]} - objects
+            if strange:  # the world may have more objects
                 if len(self.ignored_percepts) < _MOST_IGNORED:
-                    self.ignored_percepts[f"what is sensed is ignored: {error}"] = None
+                    hint = nearest(min(strange), objects)
+                    ignored = (
+                        f"{text} is sensed, but ignored: {min(strange)!r} is no object; {hint}"
+                    )
+                    self.ignored_percepts[ignored] = None
                 continue
+            atom = atom_of(self.domain, text)
             plain = value.item() if hasattr(value, "item") else value  # numpy's values, too
             if head_of(atom) in self.domain.numeric:
                 numbers[atom] = _number(atom, plain)

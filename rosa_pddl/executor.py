@@ -266,7 +266,7 @@ class PlanExecutor(Behaviour):
 
     def objects(self, type_name: str) -> tuple[str, ...]:
         """The objects of a type and of its subtypes, in the order of files and appearance."""
-        return self._domain.objects_of(self._domain.spelling("type", type_name, type_name))
+        return self._domain.objects_of(self._domain.spelling("type", type_name))
 
     def add_object(self, name: str, type_name: str) -> None:
         """Add an object that has appeared; call it between ticks. Raises as `with_object`."""
@@ -277,7 +277,7 @@ class PlanExecutor(Behaviour):
 
         Raises UnknownNameError if it cannot be removed.
         """
-        spelled = self._domain.spelling("object", name, name)
+        spelled = self._domain.spelling("object", name)
         domain = without_object(self._domain, name)
         self._release([each for each in self._running if spelled in each.step.arguments])
         self._use(domain)
@@ -488,7 +488,7 @@ class PlanExecutor(Behaviour):
                 self._request_plan("the state changed", self._cause)
             else:
                 self._request_plan("start")
-        asked = replanning.ask_if_allowed(planned_from, self._shares_left())
+        asked = replanning.ask_if_allowed(planned_from)
         if asked is not None:
             self._ended_meanwhile.clear()
             self.feedback_message = asked

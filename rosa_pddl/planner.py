@@ -359,8 +359,6 @@ class _Planning:
         state = problem.state
         costs = problem.costs
         takes = [takes_s(domain, step, state, costs) for step in answer.steps]
-        if takes:
-            takes[0] *= problem.shares.get(answer.steps[0], 1.0)
         ends_s = tuple(accumulate(takes))
         plan = answer.schedule or answer.steps
         wrong = flaw(domain, plan, state, problem.wanted, problem.until, ends_s, costs)

@@ -33,11 +33,10 @@ from rosa_pddl.domain import (
     variables_text,
 )
 from rosa_pddl.grounding import UnsearchableError, binding_of, cost_of
-from rosa_pddl.reader import Goal
+from rosa_pddl.reader import Goal, atom_of
 from rosa_pddl.validate import TimedStep, Values
 
 _FREE = "rosa-free"
-_FIRST = "rosa-first"
 
 
 class Outcome(Enum):
@@ -148,12 +147,11 @@ class Problem:
         weights: factors on the costs of steps, such as steps that failed; 0 leaves a step out.
         until: how much longer facts `(action_feasible ?a)` will hold by the forecasts [s]; no
             step that needs such a fact may end later, unless a step makes it true again.
-        shares: which share of its duration is left of each running step, if a plan begins with it.
         soft: goals that a plan may give up, at the cost of their worth.
 
     Raises:
-        UnknownNameError: a key of `costs` is no numeric fact, or one of `until` no feasibility.
-        SensingError: a value of `costs` is no number, or a time in `until` is not a finite one.
+        UnknownNameError: a key of `costs` is no numeric fact.
+        SensingError: a value of `costs` is no finite number.
     """
 
     domain: Domain
@@ -162,22 +160,17 @@ class Problem:
     costs: Mapping[str, float] = field(default_factory=dict, hash=False)
     weights: Mapping[Step, int] = field(default_factory=dict, hash=False)
     until: Mapping[str, float] = field(default_factory=dict, hash=False)
-    shares: Mapping[Step, float] = field(default_factory=dict, hash=False)
     soft: tuple[Goal, ...] = ()
 
     def __post_init__(self) -> None:
-        costs = {self.domain.atom(text): value for text, value in self.costs.items()}
+        costs = {atom_of(self.domain, text): value for text, value in self.costs.items()}
         for text, value in costs.items():
-            _check_finite(text, value)
+            if not (isinstance(value, Real) and isfinite(value)):
+                raise SensingError(f"{text} is {value!r}, expected a finite number")
             if head_of(text) not in self.domain.numeric:
                 message = f"{text!r} is no numeric fact of {self.domain.file}"
                 raise UnknownNameError(f"{message}; {nearest(head_of(text), self.domain.numeric)}")
         object.__setattr__(self, "costs", costs)  # in the spelling of the files
-        for text, left_s in self.until.items():
-            _check_finite(text, left_s)
-            if text not in self.domain.feasibility:
-                message = f"{text!r} does not say that an action is feasible"
-                raise UnknownNameError(f"{message}; {nearest(text, self.domain.feasibility)}")
 
     @property
     def wanted(self) -> tuple[Formula, ...]:
@@ -198,11 +191,6 @@ class Problem:
         return _Writer(self, style).write()
 
 
-def _check_finite(text: str, value: object) -> None:
-    if not (isinstance(value, Real) and isfinite(value)):
-        raise SensingError(f"{text} is {value!r}, expected a finite number")
-
-
 class PddlText(NamedTuple):
     """A problem as PDDL text.
 
@@ -217,7 +205,7 @@ class PddlText(NamedTuple):
 
     def step(self, domain: Domain, name: str, arguments: Sequence[str]) -> Step:
         """Return the step for an action in the text."""
-        words = [domain.spelling("object", word, word) for word in arguments]
+        words = [domain.spelling("object", word) for word in arguments]
         return domain.step(self.names[name.lower()], words)
 
 
@@ -256,11 +244,6 @@ class _Writer:
                 excluded.append(("not", ("and", *same)))
                 if weight:
                     yield self._styled(schema, step, weight, same)
-        for step, share in self._problem.shares.items():
-            if self._style == "timed" and step.schema == schema.name and schema.duration:
-                least, most = (("*", exact(share), bound_s) for bound_s in schema.duration)
-                rest = replace(schema, duration=(least, most))
-                yield self._styled(rest, step, 1, [*self._same(step), ("atom", _FIRST, ())])
         arguments = tuple(name for name, _ in schema.variables)
         yield self._styled(schema, Step(schema.name, arguments), 1, excluded)
 
@@ -293,8 +276,6 @@ class _Writer:
         ends = schema.end_effects
         if amount != 0:
             ends = (*ends, Effect("increase", self._cost, (), amount=amount))
-        if self._style == "timed":
-            ends = (*ends, Effect("delete", _FIRST, ()))
         schema = replace(schema, name=name, end_effects=ends)
         return schema if self._style == "overlapping" else _exclusive(schema)
 
@@ -340,17 +321,17 @@ class _Writer:
             for axiom in each:
                 head = Signature(domain.signatures[name].name, axiom.variables, False)
                 axioms.append(f"(:derived {head} {text_of(axiom.condition)})")
-        requirements = ":typing :adl :derived-predicates :preferences"
-        if self._style == "costs":
-            requirements = ":typing :adl :derived-predicates :action-costs"
-        elif self._is_timed:
+        requirements = ":typing :adl :action-costs"
+        if self._is_timed:
             requirements += " :durative-actions :duration-inequalities :timed-initial-literals"
+        if axioms:  # unified-planning refuses a file that says so
+            requirements += " :derived-predicates"
         parts = [
             "(define (domain rosa)",
             f"(:requirements {requirements})",
             f"(:types {' '.join(types)})" if types else "",
             f"(:constants {' '.join(constants)})" if constants else "",
-            f"(:predicates ({_FREE}) ({_FIRST}) {' '.join(predicates)})",
+            f"(:predicates ({_FREE}) {' '.join(predicates)})",
             f"(:functions {' '.join(numbers)} ({self._cost}))",
             *axioms,
             *actions,
@@ -369,7 +350,7 @@ class _Writer:
         numbers[f"({self._cost})"] = 0
         for text, value in numbers.items():
             facts.append(f"(= {text} {value if isinstance(value, int) else float(value)})")
-        facts += [f"({_FREE})", f"({_FIRST})", *self._timed_facts()]
+        facts += [f"({_FREE})", *self._timed_facts()]
         goals = [f"({_FREE})", *(text_of(goal) for goal in problem.wanted)]
         for number, goal in enumerate(problem.soft):
             goals.append(f"(preference rosa-soft-{number} {goal.text})")
@@ -395,7 +376,8 @@ class _Writer:
         if metric is not None and self._style != "costs":
             terms.append(text_of(metric))
         elif metric is None and self._style == "overlapping":
-            terms.append(f"({TIME})")
+            # unified-planning reads no sum with the time
+            terms = [*terms, f"({TIME})"] if self._problem.weights else [f"({TIME})"]
         for number, goal in enumerate(self._problem.soft):
             worth = number_text(exact(goal.worth or 0))
             terms.append(f"(* {worth} (is-violated rosa-soft-{number}))")

@@ -139,7 +139,7 @@ def _action(behaviour: IsActionFeasible | RosaAction) -> str:
 
 
 def _place(domain: Domain, name: str) -> str:
-    file, line = domain.places.get(("object", name), (domain.file, 0))
+    file, line = domain.places.get(name, (domain.file, 0))
     return f"{file}:{line}" if line else file
 
 

@@ -26,7 +26,7 @@ from rosa_pddl import (
 )
 from rosa_pddl.belief import assumptions, without_hopeless
 from rosa_pddl.domain import without_feasibility
-from rosa_pddl.reader import conditions
+from rosa_pddl.reader import atom_of, conditions
 from rosa_pddl.replanning import diagnosis
 
 FAILED: Final = "failed"
@@ -130,7 +130,7 @@ def ask(
         _assume(kb, text)
     percepts = Percepts()  # nothing is sensed yet, so a fact that is false may only be unknown
     facts = {} if mission is None else mission.facts(kb, percepts)
-    true = {domain.atom(text) for text, value in facts.items() if value is True}
+    true = {atom_of(domain, text) for text, value in facts.items() if value is True}
     # a goal may be several conditions side by side
     texts = [f"(and {text})" for text in goals] if goals else domain.goals
     return Question(

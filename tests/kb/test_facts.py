@@ -68,7 +68,11 @@ def test_a_configured_robot_at_work_may_be_stated(model):
     )
     assert kb.actions["explore"].status is Status.SOLVED
     (required,) = kb.required_actions
-    assert (required.action, required.preference, required.start) == ("explore", "energy", 100.0)
+    assert (required.action, required.preference, required.start) == (
+        "explore",
+        {"energy": 1.0},
+        100.0,
+    )
     (process,) = kb.history.processes
     assert (process.component, process.pid, process.start, process.end) == (
         "camera",

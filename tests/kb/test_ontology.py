@@ -424,9 +424,3 @@ def test_query_without_end_is_stopped():
         kb.query(f"SELECT (COUNT(?s0) AS ?n) {{ {product} }}", timeout=0.3)
     kb.measure("load", 1.0)
     assert kb.query("SELECT (COUNT(?m) AS ?n) { ?m a :Measurement }", timeout=1e300) == [(1,)]
-
-
-@pytest.mark.parametrize("timeout", [0, -1.0, float("nan"), "long"])
-def test_timeout_is_a_time(timeout):
-    with pytest.raises(InvalidValue):
-        KnowledgeBase(Model("x")).query("SELECT ?x { ?x a :Action }", timeout=timeout)

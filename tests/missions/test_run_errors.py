@@ -198,7 +198,7 @@ def _written(path, content):
             {"facts": lambda kb, percepts: {"(pipeline_found pipelin)": True}},
             None,
             "--task pddl",
-            "what is sensed is ignored",
+            "is sensed, but ignored",
         ),
     ],
 )

@@ -203,7 +203,7 @@ PROBLEM = (
 
 def test_types_that_are_above_one_another_are_refused_but_one_above_itself_is_on_top(tmp_path):
     two = PLAIN.replace("(:types thing)", "(:types thing - part part - thing)")
-    with pytest.raises(PddlError, match=r"domain\.pddl:1:.*'part', which is above itself"):
+    with pytest.raises(PddlError, match="in a cycle"):
         load_text(tmp_path, two, PROBLEM)
     itself = PLAIN.replace("(:types thing)", "(:types thing part - thing)")
     assert load_text(tmp_path, itself, PROBLEM).schemas == ("go",)
