@@ -51,8 +51,10 @@ def replay(
         if not name:
             raise MissionError(f"{recording} names no mission; name one with --mission")
         if not mission and name not in MISSIONS and ":" not in name:
-            advice = "name it with --mission module:NAME"
-            raise MissionError(f"{recording} is of a mission {name!r} of your own; {advice}")
+            raise MissionError(
+                f"{recording} is of a mission {name!r} of your own; "
+                "name it with --mission module:NAME"
+            )
         pages: list[RunRecorder] = []
         runs: list[MissionRun] = []
 
@@ -78,8 +80,12 @@ def replay(
             open_console().print(str(moment), markup=False, soft_wrap=True)
     _print_notes(bag)
     if decisions.problems:
-        example = f"could not be used, e.g. {decisions.problems[0][1]}"
-        print_lines([f"{len(decisions.problems)} parts of messages {example}"])
+        print_lines(
+            [
+                f"{len(decisions.problems)} parts of messages "
+                f"could not be used, e.g. {decisions.problems[0][1]}"
+            ]
+        )
     if stopped is not None:
         print_lines([f"{stopped.reason}\n{stopped.detail}".rstrip()])
         return
@@ -111,8 +117,11 @@ def _silence(bag: Bag, decisions: Decisions, mission: str) -> str:
     texts = {str(status["message"]).casefold() for some in statuses for status in some}
     if MISSION_STATUS in texts or any(moment.what == "heard" for moment in decisions.timeline):
         return ""
-    count = f"{len(statuses)} message{'s' if len(statuses) > 1 else ''}"
-    return f"was not understood: nothing in its {count} of diagnostics says anything to {mission}"
+    return (
+        "was not understood: nothing in its "
+        f"{len(statuses)} message{'s' if len(statuses) > 1 else ''}"
+        f" of diagnostics says anything to {mission}"
+    )
 
 
 def _print_notes(bag: Bag) -> None:

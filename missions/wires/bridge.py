@@ -194,8 +194,10 @@ def _place(attribute: str, text: str) -> tuple[str, list[str], str]:
     place, _, kind = text.strip().partition(" ")
     topic, *path = place.split(".")
     if not topic.startswith("/") or not all(path) or not path:
-        example = "write /topic.field, e.g. /battery_state.percentage"
-        raise MissionError(f"{attribute} is measured by {text!r}; {example}")
+        raise MissionError(
+            f"{attribute} is measured by {text!r}; "
+            "write /topic.field, e.g. /battery_state.percentage"
+        )
     return topic, path, kind.strip()
 
 

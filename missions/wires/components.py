@@ -296,8 +296,7 @@ class RosComponents:
         request = {"transition": {"id": transition, "label": ""}}
         answer = yield self._node.call(service, kind, request, watch.timeout_s)
         if not answer.get("success"):
-            refused = f"refuses the transition {transition} from {watch.state}"
-            raise RosError(f"{watch.place} {refused}")
+            raise RosError(f"{watch.place} refuses the transition {transition} from {watch.state}")
         watch.state = goal
 
     def _configure(self, component: str, parameters: Parameters) -> "Future[None]":
@@ -344,8 +343,12 @@ class RosComponents:
         watch = self._watches.get(component)
         if watch is None and component not in self._programs:
             names = ", ".join([*self._watches, *self._programs]) or "none"
-            problem = f"there is no node for {component!r}, only for {names}"
-            command.set_exception(RosError(f"{problem}: name its node under components"))
+            command.set_exception(
+                RosError(
+                    f"there is no node for {component!r}, only for {names}"
+                    ": name its node under components"
+                )
+            )
         elif watch is not None and watch.is_lost:
             command.set_exception(RosError(f"{watch.place} does not answer"))
         else:

@@ -346,8 +346,10 @@ def read_bag(path: str | Path) -> Bag:
         except Exception as error:  # a malformed or damaged message may raise anything
             bag.problems[f"{raw.topic}: {type(error).__name__}: {error}"] += 1
     if bag.run.get("rosa", VERSION) != VERSION:
-        reads = f"this program reads version {VERSION}"
-        raise MissionError(f"{path} is a recording of version {bag.run['rosa']!r}; {reads}")
+        raise MissionError(
+            f"{path} is a recording of version {bag.run['rosa']!r}; "
+            f"this program reads version {VERSION}"
+        )
     diagnostics.sort(key=itemgetter(0))
     start = 0 if bag.run or not diagnostics else diagnostics[0][0]
     bag.messages = [
@@ -375,8 +377,10 @@ def read_page(path: str | Path) -> Recorded:
     """
     bag = read_bag(path)
     if not bag.run:
-        advice = f"rosa replay {path} --mission NAME --report FILE.html shows it"
-        raise MissionError(f"{path} is not rosa's own; {advice}")
+        raise MissionError(
+            f"{path} is not rosa's own; "
+            f"rosa replay {path} --mission NAME --report FILE.html shows it"
+        )
     now = [0.0]
     kb = KnowledgeBase(Model.from_plain(bag.run["elements"]), clock=lambda: now[0])
     recorder = Recorder(kb, header=bag.run["page"])
@@ -401,9 +405,12 @@ def messages(path: str | Path, bag: Bag) -> Iterator[Raw]:
         MissionError: it does not exist, nothing of it can be read, or the extra `mcap` is missing.
     """
     if not exists(path) or not is_bag(path):  # noqa: PTH110  # Path raises for an impossible name
-        names = "name a file .mcap or .db3, or the folder of a rosbag2"
-        advice = "`rosa run MISSION --record FILE.mcap` makes one"
-        raise MissionError(f"{path} is no recording: {names}; {advice}")
+        raise MissionError(
+            f"{path} is no recording: "
+            "name a file .mcap or .db3, or the folder of a rosbag2"
+            "; "
+            "`rosa run MISSION --record FILE.mcap` makes one"
+        )
     ros.types()  # a missing library is not a fault of the recording
     place = Path(path)
     is_mcap = place.suffix == ".mcap"

@@ -6,7 +6,8 @@ from running import called
 from kb import KnowledgeBase, Model
 from missions.baselines import open_run
 from missions.engine.mission import MissionError, find_mission
-from missions.experiments.learning import Spread, learn
+from missions.experiments.comparison import mean_of
+from missions.experiments.learning import Learned, learn
 
 
 def logs(mission, count, **settings):
@@ -28,7 +29,7 @@ def test_learn_finds_the_true_rate_and_names_the_stated_one():
     model.attributes["battery_level"].changes(-0.01)
     learned = learn(logs("suave_extended", 4, discharge_time_s=170), model)
     rate = about(learned, "rate", "battery_level, always")
-    assert rate.found.holds(-1 / 170)
+    assert rate.found.mean == pytest.approx(-1 / 170)
     assert rate.found.observations == 4
     assert str(rate).endswith("; stated is -0.01")
     assert not [each for each in learned if each.about.startswith("water_visibility")]  # a wave
@@ -56,16 +57,16 @@ def test_learn_leaves_out_what_is_held_at_a_bound():
         runs[f"from {full}"] = list(kb.log)
     learned = learn(runs, model)
     battery_rate = about(learned, "rate", "battery while sweep")
-    assert battery_rate.found.value == pytest.approx(-0.4)
+    assert battery_rate.found.mean == pytest.approx(-0.4)
     assert "; as stated -0.4" in str(battery_rate)
-    assert about(learned, "rate", "waste_load while sweep").found.value == pytest.approx(0.25)
-    assert about(learned, "duration", "sweep").found.value == 99.0
+    assert about(learned, "rate", "waste_load while sweep").found.mean == pytest.approx(0.25)
+    assert about(learned, "duration", "sweep").found.mean == 99.0
     with pytest.raises(MissionError, match="no action of drone"):
         learn(runs, Model("drone"))
 
 
-def test_spread_of_one_observation_has_no_interval():
-    assert "no interval" in str(Spread.of([1.0]))
+def test_one_observation_has_no_interval():
+    assert "no interval" in str(Learned("duration", "dig [s]", mean_of([1.0])))
 
 
 def test_learn_command_reads_recordings(tmp_path, capsys, monkeypatch):
