@@ -265,13 +265,10 @@ def _first(texts: Iterable[str]) -> list[str]:
 # -------------------------------------------------------------------- why a plan is made
 
 
-def why_selected(
-    state: State, chosen: Sequence[Node], now: float, given: str = "", ended: Iterable[str] = ()
-) -> str:
+def why_selected(state: State, chosen: Sequence[Node], now: float, given: str = "") -> str:
     """Return, in words, why designs and configurations are about to be selected in a state.
 
-    `given` is the reason given with the selection, if any; `ended` are sentences about requests
-    that have ended.
+    `given` is the reason given with the selection, if any.
     """
     reasons = []
     for node in chosen:
@@ -295,7 +292,7 @@ def why_selected(
         if any(_stays(state, design, chosen) for design in state.users(component)):
             start = f"{text}; {component.name}" if text else f"{component.name} is not active, and"
             reasons.append(f"{start} is needed by {_needed_by(state, component)}")
-    reasons = reasons or [*ended, "what was active or selected is no longer needed"]
+    reasons = reasons or ["what was active or selected is no longer needed"]
     return "; ".join(_first(reasons) if len(reasons) > 1 else reasons)
 
 

@@ -9,27 +9,26 @@ import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from functools import wraps
 from itertools import starmap
 from math import inf, isfinite
 from operator import attrgetter
 from pathlib import Path
-from threading import Lock, RLock
+from threading import RLock
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
-from weakref import WeakSet, finalize
+from weakref import finalize
 
 from kb import elements, situations, views
 from kb.debounce import NEVER
 from kb.diagnostics import DiagnosticProblem, DiagnosticRules, record_diagnostics
 from kb.elements import (
-    Action,
     Parameters,
     finite_number,
     flag,
     status_of,
     table,
-    whole,
 )
 from kb.events import RECORDS, Event, Publisher, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
@@ -44,7 +43,6 @@ from kb.records import (
     Attempt,
     HistoryView,
     Log,
-    Process,
     ReconfigurationPlan,
     Records,
     Reply,
@@ -57,36 +55,11 @@ from kb.state import KEPT, Reason, State
 from kb.status import Status
 from kb.store import Store
 
-_REENTRANT: Final = (
-    "re-entrant call during an update: a signal handler or finalizer cannot ask or record "
-    "anything in the midst of an event; do that later"
-)
 _CLOCK_SLACK_S: Final = 1.0
 """How far a clock may go back: clocks are corrected, and threads may be overtaken [s]."""
 _REPLAYABLE: Final[dict[str, Callable[..., object]]] = {}
 """The method that records an event again, by its verb."""
-_LOCKS: Final[WeakSet[Any]] = WeakSet()
-"""The locks of all bases: if another thread held one at a fork, the child could never use that
-base."""
-_held_locks: list[Any] = []
-
 MethodT = TypeVar("MethodT", bound=Callable[..., Any])
-
-
-def _hold_locks() -> None:
-    for lock in tuple(_LOCKS):
-        lock.acquire()
-        _held_locks.append(lock)
-
-
-def _release_locks() -> None:
-    while _held_locks:
-        _held_locks.pop().release()
-
-
-os.register_at_fork(
-    before=_hold_locks, after_in_parent=_release_locks, after_in_child=_release_locks
-)
 
 
 def _update(method: MethodT) -> MethodT:
@@ -103,8 +76,7 @@ def _update(method: MethodT) -> MethodT:
             if self.store is not None:
                 self.store.check_open()
             self._prepare(now)
-            with self._updating:
-                result = method(self, *args, **kwargs)
+            result = method(self, *args, **kwargs)
             last = self.log.last
         if self._publisher.subscribers or self.store is not None:
             self._publish(last)
@@ -188,20 +160,21 @@ class KnowledgeBase:
     ) -> None:
         if not isinstance(model, Model):
             raise InvalidValue(f"a knowledge base is made of a kb.Model, not of {model!r}")
-        whole("keep", keep)
         model.settle()
         self.model = model
         self._clock = clock
         self._is_timed = is_timed
         self._lock = RLock()
-        _LOCKS.add(self._lock)
-        self._updating = Lock()  # held, with the other one, while this thread records an event
+        os.register_at_fork(  # a lock that another thread holds would stay held in the child
+            before=self._lock.acquire,
+            after_in_parent=self._lock.release,
+            after_in_child=self._lock.release,
+        )
         self.store = None if store is None else Store(store, model, keep)
         self._state = State(Network(model), keep)
         self._records = Records()
         self._event: Event | None = None  # recorded, and not applied completely
-        self._amendment: elements.Amended | None = None  # the last change of the model
-        self._followed: elements.Amended | None = None  # the last one that is recorded
+        self._followed: elements.Amended | None = None  # the last change of the model
         self._revision = 0
         self.log = Log(self.reading)
         self._now = self._read_clock()
@@ -312,8 +285,7 @@ class KnowledgeBase:
     @property
     def latest_plan(self) -> ReconfigurationPlan | None:
         """The plan that was made last."""
-        with self.reading():
-            return next(reversed(self._records.plans.values()), None)
+        return next(reversed(self.plans), None)
 
     @property
     def pending_plan(self) -> ReconfigurationPlan | None:
@@ -412,8 +384,7 @@ class KnowledgeBase:
             are also logged, and counted in `history.rejected`.
         """
         problems = record_diagnostics(self, diagnostics, rules)
-        with self._lock:
-            self._records.rejected += len(problems)
+        self._records.rejected += len(problems)
         return problems
 
     @_update
@@ -566,9 +537,11 @@ class KnowledgeBase:
                 raise Unselectable(f"{node} cannot be selected: {why(state, node, self._now)}")
         if cause is None:
             cause = self._cause_of_choice(nodes)
-        words = why_selected(state, nodes, self._now, reason, self._records.end_reasons.values())
+        words = why_selected(state, nodes, self._now, reason)
         number = next(reversed(self._records.plans), 0) + 1
-        flips, plan = state.decide(nodes, words, self._now, cause, number)
+        flips, plan = state.decide(nodes)
+        if plan is not None:
+            plan = replace(plan, reason=words, start=self._now, cause=cause, number=number)
         effects = tuple((node.kind, node.name, node not in state.selected) for node in flips)
         if (plan or effects) and not dry_run:
             choice = [MappingProxyType(dict(each or {})) for each in (designs, configurations)]
@@ -590,23 +563,6 @@ class KnowledgeBase:
         return True
 
     # ---------------------------------------------------------------- record what is done
-
-    @_update
-    def component_started(self, component: str, pid: int) -> Process:
-        """Record that a process of the operating system was started for a component.
-
-        It need not be active yet.
-        """
-        name = self._network.components[component].name
-        self._record("component_started", name, int(pid))
-        return next(reversed(self._records.processes.values()))
-
-    @_update
-    def component_ended(self, component: str, pid: int | None = None) -> None:
-        """Record that a process of a component has ended: that of this number, else all of them."""
-        name = self._network.components[component].name
-        if self._records.running(name, pid):
-            self._record("component_ended", name, pid)
 
     @_update
     def record_attempt(
@@ -690,7 +646,7 @@ class KnowledgeBase:
         keywords = {"cause": event.cause} if is_caused else {}
         try:
             _REPLAYABLE[verb](self, *arguments, **keywords)
-        except (AttributeError, LookupError, TypeError) as error:
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
             if isinstance(error, KnowledgeBaseError):
                 raise
             raise InvalidValue(f"{verb} cannot be replayed with {arguments!r}: {error}") from None
@@ -699,12 +655,6 @@ class KnowledgeBase:
         self.model.amend(how, written)
 
     _REPLAYABLE["amend"] = _amend
-
-    @_update
-    def _progress(self, action: str, behaviour: str, saved: str) -> None:
-        before = self._records.progress.get((action, behaviour), "")
-        if before != saved:
-            self._record("progress", action, behaviour, saved)
 
     @_update
     def _replay_due(self, verb: str, element: Any, *_: object) -> None:  # noqa: ANN401  # a name or reference
@@ -825,14 +775,11 @@ class KnowledgeBase:
 
     def _prepare(self, now: float) -> None:
         """Complete what was interrupted, and record what time has caused until now [s]."""
-        if self._updating.locked():
-            raise KnowledgeBaseError(_REENTRANT)
-        self._settled()
+        self._complete_event()
         self._now = now = max(now, self.log.time)
         if self._is_timed and now >= self._state.next_due:
-            with self._updating:
-                while (due := self._state.due(now)) is not None:
-                    self._record_due(*due)
+            while (due := self._state.due(now)) is not None:
+                self._record_due(*due)
 
     def _record_due(self, time: float, what: str, node: Node) -> None:
         """Record what time causes, at the instant at which it is due."""
@@ -850,20 +797,15 @@ class KnowledgeBase:
             self._record(what, node.ref, status, words=words, time=time)
 
     def _catch_up_with_time(self) -> None:
-        """Record what time has caused until now, unless this thread is just recording a fact."""
+        """Record what time has caused until now."""
         now = self._read_clock()
         with self._lock:
-            if self._event is not None or not self._updating.locked():
-                self._prepare(now)
+            self._prepare(now)
         self._publish()
 
     def _settled(self) -> State:
         """Return the state, after an interrupted event is completed."""
-        if self._event is not None:
-            if self._updating.locked():
-                raise KnowledgeBaseError(_REENTRANT)
-            with self._updating:
-                self._complete_event()
+        self._complete_event()
         return self._state
 
     def _publish(self, last: int = 0) -> None:
@@ -879,11 +821,15 @@ class KnowledgeBase:
         """Begin with what the model states."""
         state = self._state
         network = state.network
+
+        def time_of(fact: elements.MeasurementFact) -> tuple[bool, float]:
+            return fact.latest, now if fact.time is None else fact.time
+
         measured = [fact for fact in stated if isinstance(fact, elements.MeasurementFact)]
-        measured.sort(key=lambda fact: (fact.latest, now if fact.time is None else fact.time))
+        measured.sort(key=time_of)
         for number, measurement in enumerate(measured, start=-len(measured)):
             node = network.attributes[measurement.attribute]
-            time = now if measurement.time is None else measurement.time
+            _, time = time_of(measurement)
             enter = state.set_measurement if measurement.latest else state.remember
             enter(node, measurement.value, time, number)
         for number, fact in enumerate(stated, start=1):
@@ -896,7 +842,7 @@ class KnowledgeBase:
                     state.set_flag("selected", network.find(element), True)
                 case elements.ActiveFact(component):
                     state.set_flag("active", network.components[component], True)
-                case elements.RequiredActionFact() | elements.PlanFact() | elements.ProcessFact():
+                case elements.RequiredActionFact():
                     self._records.begin(fact, -number, now)
         for name in self._records.required:
             state.set_flag("requested", network.actions[name], True)
@@ -908,31 +854,20 @@ class KnowledgeBase:
     def _record_amendment(self, change: elements.Amended) -> None:
         """Record a change of the model, unless it is recorded already."""
         with self._lock:
-            if self._updating.locked():
-                raise KnowledgeBaseError(_REENTRANT)
-            self._settled()
-            with self._updating:
-                if change is not self._followed:
-                    change.put()  # no fact is recorded meanwhile: each is of one model
-                    self._follow(change)
-
-    def _follow(self, change: elements.Amended) -> None:
-        for element in change.elements if change.how == "removed" else ():
-            if isinstance(element, Action) and element.name in self._records.required:
-                reason = "it is no longer in the model"
-                self._record("cancel_action", element.name, "abandoned", reason)
-        self._amendment = change
-        names = [str(getattr(element, "name", element)) for element in change.elements]
-        words = f"{', '.join(names)} {change.how} in the model"
-        self._record("amend", change.how, change.written, words=words)
+            self._complete_event()
+            if change is self._followed:
+                return
+            change.put()  # no fact is recorded meanwhile: each is of one model
+            names = [str(getattr(element, "name", element)) for element in change.elements]
+            words = f"{', '.join(names)} {change.how} in the model"
+            self._record("amend", change.how, change.written, words=words)
 
     def _renew(self) -> None:
-        """Follow the model as it is now; it can be repeated."""
-        assert self._amendment is not None  # an amendment is noted before it is recorded
-        self._followed = self._amendment
-        is_removed = self._amendment.how == "removed"
-        changed = () if is_removed else self._amendment.elements
-        self._state = self._state.moved(Network(self.model), changed, self._now)
+        """Follow the change of the model that is under way; it can be repeated."""
+        change = self.model.pending
+        if change is not None:
+            self._followed = change
+            self._state = self._state.moved(Network(self.model), change.elements, self._now)
 
     # ---------------------------------------------------------------- causes
 
@@ -992,7 +927,7 @@ class KnowledgeBase:
 
     def _record_store_message(self, words: str) -> None:
         """Record how the store is."""
-        with self._lock, self._updating:
+        with self._lock:
             self._record("store", words)
         self._publish()
 
@@ -1009,24 +944,19 @@ class KnowledgeBase:
         return plans[number]
 
     def _node(self, element: ElementLike, kinds: Iterable[str]) -> Node:
-        return resolve(self, self._state, element, kinds, unique=True)
+        return resolve(self._state, element, kinds, unique=True)
 
 
 def _chosen(
     parts: Mapping[str, Node], owners: Mapping[str, Node], choice: Mapping[str, str] | None
 ) -> list[Node]:
-    """Return the chosen nodes from a mapping of owner to choice, by name.
-
-    Each choice must be a part of its owner.
-    """
+    """Return the nodes of a choice by owner; each has to be a part of its owner."""
     nodes = []
     for owner_name, name in (choice or {}).items():
         node = parts[name]
         owner = owners[owner_name]
-        if node.used_by[0] is not owner:
-            raise InvalidValue(
-                f"{node.kind} {node.name!r} is of {node.used_by[0].name!r}, not of {owner.name!r}"
-            )
+        if node not in owner.requires:
+            raise InvalidValue(f"{node} is of {node.used_by[0].name!r}, not of {owner.name!r}")
         nodes.append(node)
     return nodes
 

@@ -4,7 +4,6 @@ The knowledge base does the analysis by itself, by inference. The other stages a
 a manager that is given another monitor, planner or executor works with it in the same way.
 """
 
-import logging
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Any, Protocol
@@ -21,8 +20,6 @@ from kb.managed_system import (
 )
 from kb.planning import PriorityPlanner
 from kb.records import ReconfigurationPlan
-
-_log = logging.getLogger(__name__)
 
 
 class Monitor(Protocol):
@@ -156,7 +153,6 @@ class ConfigurationManager:
         if not objection:
             return False
         reason = f"vetoed: {objection}"
-        _log.info("%s: %s", plan, reason)
         for event in kb.log.since(plan.cause or 0):
             for kind, name, is_selected in event.effects if event.plan is plan else ():
                 with suppress(UnknownName):  # it was removed from the model

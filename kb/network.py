@@ -1,6 +1,6 @@
 """The network of a model: one node for each element, linked to those that its status needs."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Any, Final
@@ -17,9 +17,8 @@ from kb.elements import (
     Function,
     FunctionDesign,
     Owner,
-    shown,
 )
-from kb.exceptions import InvalidValue, UnknownName
+from kb.exceptions import UnknownName
 
 Ref = tuple[str, str] | tuple[str, str, int]
 """A reference to a node as plain data: (kind, name); for a constraint (kind, name, position) by an
@@ -109,12 +108,12 @@ class Network:
             self.kinds[kind] = nodes = ByName(kind, siblings=self.kinds)
             for key, element in model.tables[cls].items():
                 nodes[key] = Node(self, next(numbers), kind, str(key), element)
-        self.attributes: Mapping[str, Node] = self.kinds["attribute"]
-        self.components: Mapping[str, Node] = self.kinds["component"]
-        self.configurations: Mapping[str, Node] = self.kinds["configuration"]
-        self.functions: Mapping[str, Node] = self.kinds["function"]
-        self.designs: Mapping[str, Node] = self.kinds["function design"]
-        self.actions: Mapping[str, Node] = self.kinds["action"]
+        self.attributes = self.kinds["attribute"]
+        self.components = self.kinds["component"]
+        self.configurations = self.kinds["configuration"]
+        self.functions = self.kinds["function"]
+        self.designs = self.kinds["function design"]
+        self.actions = self.kinds["action"]
         for node in self.configurations.values():
             _link(self.components[node.element.component], node)
         for node in self.designs.values():
@@ -151,27 +150,17 @@ class Network:
         UnknownName if it is not, or no longer, in the model.
         """
         nodes = self.kinds[KINDS[type(element)]]
-        node = nodes.get(element if isinstance(element, Constraint) else element.name)
+        key = element if isinstance(element, Constraint) else element.name
+        node = nodes.get(key)
         if node is None or node.element is not element:
-            name = element if isinstance(element, Constraint) else element.name
-            raise UnknownName(nodes.kind, str(name), map(str, nodes))
+            raise UnknownName(nodes.kind, str(key), map(str, nodes))
         return node
 
     def referred(self, ref: Ref) -> Node:
         """Return the node that a reference stands for."""
-        match ref:
-            case str(kind), str(name):
-                return self.kinds[kind][name]
-            case str(kind), str(name), int(position):
-                constraints = self.kinds[kind][name].constraints
-                if 0 <= position < len(constraints):
-                    return constraints[position]
-                positions = map(str, range(len(constraints)))
-                raise UnknownName(f"constraint on {kind} {name!r}", position, positions)
-        raise InvalidValue(
-            f"{shown(ref)} stands for nothing; an element is (kind, name), a constraint "
-            "(kind, name, position) by what it is on"
-        )
+        kind, name, *position = ref
+        node = self.kinds[kind][name]
+        return node.constraints[position[0]] if position else node
 
 
 def _link(user: Node, part: Node) -> None:

@@ -5,12 +5,12 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import islice
 from types import MappingProxyType
 from typing import Any, Final, Generic, NamedTuple, TypeVar
 
-from kb.elements import Parameters, PlanFact, ProcessFact, RequiredActionFact
+from kb.elements import Parameters, RequiredActionFact
 from kb.exceptions import InvalidValue
 
 T = TypeVar("T")
@@ -19,7 +19,6 @@ RESULTS: Final = ("completed", "failed", "abandoned")
 _MOST: Final = 10_000
 """How many records of each kind are held: the newest, and whatever has not ended."""
 _MOST_EVENTS: Final = 100_000
-_MOST_END_REASONS: Final = 4
 
 
 class Reply(NamedTuple):
@@ -91,8 +90,8 @@ class ReconfigurationPlan:
     activate: tuple[str, ...]
     deactivate: tuple[str, ...]
     parameters: tuple[str, ...]
-    reason: str
-    start: float
+    reason: str = ""
+    start: float = 0.0
     end: float | None = None
     result: str | None = None
     plain: tuple[str, ...] = ()
@@ -114,27 +113,6 @@ class ReconfigurationPlan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Process:
-    """A process of the operating system in which a component ran or runs.
-
-    Only the knowledge base can end the record.
-
-    Attributes:
-        component: name of the component.
-        pid: number of the process.
-        start: when it was started [s].
-        end: when it ended [s], None while it runs.
-        number: number of the event of its start.
-    """
-
-    component: str
-    pid: int
-    start: float
-    end: float | None = None
-    number: int = 0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Attempt:
     """One command, given once, and its result; only the knowledge base can end it.
 
@@ -149,7 +127,7 @@ class Attempt:
         end: when it was found to have ended [s], None while it is under way.
         result: "completed", "failed" or "abandoned", None while it is under way.
         reason: why it failed, or what was unusual about it, in words.
-        serial: 1 for the first attempt of a knowledge base.
+        serial: number of the event of the command.
     """
 
     plan: ReconfigurationPlan
@@ -189,8 +167,7 @@ class VetoAnswer:
     number: int = 0
 
 
-RecordT = TypeVar("RecordT", RequiredAction, ReconfigurationPlan, Process, Attempt, VetoAnswer)
-Record = RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer
+RecordT = TypeVar("RecordT", RequiredAction, ReconfigurationPlan, Attempt, VetoAnswer)
 
 
 class Log:
@@ -247,13 +224,10 @@ class Records:
         required: the open ones of these by name of the action.
         plans: reconfiguration plans by their number.
         open_plans: those of these that have not ended.
-        processes: by number of the event of the start.
         attempts: commands by their serial number.
         answers: answers about plans by number of the event.
         last_end: when a request ended last [s], and the number of that event.
-        end_reasons: why requests ended since the last plan, in words, by number of the event.
         rejected: how many values of diagnostics could not be used.
-        progress: saved progress by action and behaviour; empty if it starts anew.
     """
 
     def __init__(self) -> None:
@@ -261,20 +235,15 @@ class Records:
         self.required: dict[str, RequiredAction] = {}
         self.plans: dict[int, ReconfigurationPlan] = {}
         self.open_plans: dict[int, ReconfigurationPlan] = {}
-        self.processes: dict[int, Process] = {}
         self.attempts: dict[int, Attempt] = {}
         self.answers: dict[int, VetoAnswer] = {}
         self.last_end: tuple[float, int] | None = None
-        self.end_reasons: dict[int, str] = {}
         self.rejected = 0
-        self.progress: dict[tuple[str, str], str] = {}
-        self._attempted = (0, 0)  # the newest event of an attempt, and its serial number
 
     def apply(self, event: Any) -> None:  # noqa: ANN401  # an `Event`, which has a plan
         """Enter what an event says."""
         now = event.time
         if event.plan is not None:
-            self.end_reasons = {}
             self._add(self.plans, event.plan)
         match event.verb, event.arguments:
             case "request_action", (name, preference):
@@ -286,10 +255,6 @@ class Records:
                 self._add(self.requests, request)
             case "cancel_action", (name, result, reason) if name in self.required:
                 self.last_end = now, event.number
-                if reason:
-                    self.end_reasons[event.number] = f"{name} is {result}: {reason}"
-                    for number in list(self.end_reasons)[:-_MOST_END_REASONS]:
-                        del self.end_reasons[number]
                 _finish(self.required[name], result=result, reason=reason, end=now)
                 del self.required[name]
             case "finish_plan", (number, result):
@@ -305,25 +270,16 @@ class Records:
                     for number, open_plan in self.open_plans.items()
                     if open_plan.end is None
                 }
-            case "component_started", (name, pid):
-                self._add(self.processes, Process(name, pid, now, number=event.number))
-            case "component_ended", (name, pid):
-                for process in self.running(name, pid):
-                    _finish(process, end=now)
             case "record_attempt", (number, component, operation, name, parameters, count):
-                if self._attempted[0] != event.number:
-                    self._attempted = event.number, next(reversed(self.attempts), 0) + 1
                 values = MappingProxyType(dict(parameters))
                 command = self.plans[number], component, operation, name, values, count, now
-                self._add(self.attempts, Attempt(*command, serial=self._attempted[1]))
+                self._add(self.attempts, Attempt(*command, serial=event.number))
             case "finish_attempt", (serial, result, reason):
                 if serial in self.attempts:
                     _finish(self.attempts[serial], result=result, reason=reason, end=now)
             case "record_answer", (number, is_vetoed, reason):
                 answer = VetoAnswer(self.plans[number], now, is_vetoed, reason, event.number)
                 self._add(self.answers, answer)
-            case "progress", (action, behaviour, saved):
-                self.progress[action, behaviour] = saved
 
     def _add(self, table: dict[int, RecordT], record: RecordT) -> None:
         """Add a record, unless there is one of this number already."""
@@ -338,30 +294,16 @@ class Records:
             for key in ended[:-_MOST]:
                 del table[key]
 
-    def running(self, component: str, pid: int | None = None) -> list[Process]:
-        """Return the processes of a component that run: the one of this number, or all."""
-        return [
-            process
-            for process in self.processes.values()
-            if process.component == component and process.end is None and pid in (None, process.pid)
-        ]
-
-    def begin(
-        self, fact: RequiredActionFact | PlanFact | ProcessFact, number: int, now: float
-    ) -> None:
-        """Add a record that a model states; a missing start is the end, or else now [s]."""
-        values = {field.name: getattr(fact, field.name) for field in fields(fact)}
-        if fact.start is None:
-            values["start"] = now if fact.end is None else fact.end
-        if values.get("result") is not None and fact.end is None:
-            values["end"] = values["start"]
-        if isinstance(fact, ProcessFact):
-            self._add(self.processes, Process(**values, number=number))
-        elif isinstance(fact, PlanFact):
-            values |= {"reason": "stated by the model", "number": len(self.plans) + 1}
-            self._add(self.plans, ReconfigurationPlan(**values))
-        else:
-            self._add(self.requests, RequiredAction(**values, number=number))
+    def begin(self, fact: RequiredActionFact, number: int, now: float) -> None:
+        """Add a request that a model states; a missing start is the end, or else now [s]."""
+        start = fact.start
+        if start is None:
+            start = now if fact.end is None else fact.end
+        end = start if fact.end is None and fact.result else fact.end
+        request = RequiredAction(
+            fact.action, fact.preference, start, end, fact.result, number=number
+        )
+        self._add(self.requests, request)
 
 
 class _Table(Generic[T]):
@@ -381,11 +323,9 @@ class HistoryView:
     Attributes:
         actions: the actions that are or were required, in the order of the requests.
         open_plans: the plans that have not ended, in the order in which they were made.
-        processes: the processes in which components ran or run, in the order of their starts.
         attempts: the commands that were given, in order, each with its result.
         answers: the answers to whether a plan may be executed, in order.
         rejected: how many values of diagnostics could not be used so far.
-        progress: the saved progress of interrupted actions, by action and behaviour.
     """
 
     def __init__(
@@ -396,18 +336,12 @@ class HistoryView:
 
     actions = _Table[RequiredAction]("requests")
     open_plans = _Table[ReconfigurationPlan]("open_plans")
-    processes = _Table[Process]("processes")
     attempts = _Table[Attempt]("attempts")
     answers = _Table[VetoAnswer]("answers")
 
     @property
     def rejected(self) -> int:
         return self.records.rejected
-
-    @property
-    def progress(self) -> Mapping[tuple[str, str], str]:
-        with self.reading():
-            return {key: saved for key, saved in self.records.progress.items() if saved}
 
 
 def check_result(result: str) -> None:
@@ -422,7 +356,7 @@ def read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
 copyreg.pickle(MappingProxyType, lambda mapping: (read_only, (dict(mapping),)))
 
 
-def _finish(record: Record, **values: object) -> None:
+def _finish(record: object, **values: object) -> None:
     """End a record, which is frozen for everybody else."""
     for name, value in values.items():
         object.__setattr__(record, name, value)

@@ -4,14 +4,14 @@ Each question is a function, and a method of both `KnowledgeBase` and `Situation
 answers as the base would if some facts were different. No question changes anything.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from kb import explain as explanation
 from kb import views
-from kb.elements import Constraint, Element, finite_number, listed, meant_by, shown
+from kb.elements import Constraint, Element, finite_number, listed, meant_by
 from kb.exceptions import InvalidValue
 from kb.forecast import feasible_until, suppose_forecast
 from kb.network import Network, Node, Ref
@@ -31,6 +31,7 @@ ELEMENTS: Final = (
 """The kinds of elements that have a status; all but constraints have a name too."""
 _EXPLAINED: Final = (*ELEMENTS, "attribute")
 
+T = TypeVar("T")
 ElementLike = ElementView | Element | Constraint | Ref | str
 """An element may be given as a view of it, as itself, as what stands for it in events, or by its
 name."""
@@ -111,9 +112,7 @@ def explain(base: Readable, element: ElementLike) -> explanation.Explanation:
     configuration and attribute. Of an attribute it is said what is known of it, and what depends on
     it.
     """
-    now = base.now
-    with base.reading() as state:
-        return explanation.explain(state, resolve(base, state, element, _EXPLAINED), now)
+    return _explained(base, element, _EXPLAINED, explanation.explain)
 
 
 def why(base: Readable, element: ElementLike) -> str:
@@ -121,9 +120,7 @@ def why(base: Readable, element: ElementLike) -> str:
 
     Quicker than `explain`, for it looks for no remedies.
     """
-    now = base.now
-    with base.reading() as state:
-        return explanation.why(state, resolve(base, state, element, _EXPLAINED), now)
+    return _explained(base, element, _EXPLAINED, explanation.why)
 
 
 def explain_choice(base: Readable, element: ElementLike) -> explanation.ChoiceExplanation:
@@ -131,11 +128,18 @@ def explain_choice(base: Readable, element: ElementLike) -> explanation.ChoiceEx
 
     Of a name that both kinds share the function is meant.
     """
+    return _explained(base, element, ("function", "component"), explanation.explain_choice)
+
+
+def _explained(
+    base: Readable,
+    element: ElementLike,
+    kinds: Iterable[str],
+    explain: Callable[[State, Node, float], T],
+) -> T:
     now = base.now
     with base.reading() as state:
-        return explanation.explain_choice(
-            state, resolve(base, state, element, ("function", "component")), now
-        )
+        return explain(state, resolve(state, element, kinds), now)
 
 
 def outline(state: State) -> str:
@@ -148,12 +152,7 @@ def outline(state: State) -> str:
 
 
 def resolve(
-    base: Readable,
-    state: State,
-    element: ElementLike,
-    kinds: Iterable[str],
-    *,
-    unique: bool = False,
+    state: State, element: ElementLike, kinds: Iterable[str], *, unique: bool = False
 ) -> Node:
     """Return the node that is meant; a bare name is looked for in the given kinds, in this order.
 
@@ -162,37 +161,28 @@ def resolve(
     """
     network = state.network
     if isinstance(element, ElementView):
-        if element.base is not base:
-            raise InvalidValue(
-                f"{element!r} is a view of another knowledge base; take it from this one"
-            )
         element = element.element
-    if isinstance(element, Element) and network.model is not element.model:
-        raise InvalidValue(f"{element.name!r} belongs to another model, {element.model.name!r}")
     if isinstance(element, Element | Constraint | tuple):
         node = network.referred(element) if isinstance(element, tuple) else network.find(element)
         if node.kind not in kinds:
             raise InvalidValue(f"{node!r} cannot be meant here; allowed are {', '.join(kinds)}")
         return node
     searched = {kind: network.kinds[kind] for kind in kinds if kind != "constraint"}
-    return meant_by(
-        element, searched, " or ".join(searched), "pass the view meant, e.g. kb." if unique else ""
-    )
+    advice = "pass the view meant, e.g. kb." if unique else ""
+    return meant_by(element, searched, " or ".join(searched), advice)
 
 
 def preferred(
     network: Network, preference: str | Mapping[str, float] | None
 ) -> str | Mapping[str, float] | None:
-    """Return a preference as the name of an attribute, or finite weights by name.
-
-    Any other is refused.
-    """
-    if preference is None or not isinstance(preference, Mapping):
-        return None if preference is None else network.attributes[preference].name
+    """Return a preference as the name of an attribute, or finite weights by name."""
+    if isinstance(preference, str):
+        return network.attributes[preference].name
     weights = {
-        network.attributes[name].name: finite_number(weight) for name, weight in preference.items()
+        network.attributes[name].name: finite_number(weight)
+        for name, weight in (preference or {}).items()
     }
-    return MappingProxyType(weights)
+    return MappingProxyType(weights) if weights else None
 
 
 def _selectable(state: State, nodes: Iterable[Node]) -> tuple[str, ...]:
@@ -232,14 +222,8 @@ def situation(
             interval violates is violated then.
         attributes: values by name of attribute, e.g. `light=0.3`.
     """
-    if not isinstance(measured, Mapping | None):
-        raise InvalidValue(
-            f"what is supposed to be measured is given as values by name, not as {measured!r}"
-        )
     values = {**(measured or {}), **attributes}
-    failed = _names("failed", failed)
-    recovered = _names("recovered", recovered)
-    requested = _names("requested", requested)
+    requested = tuple(requested)
     now = base.now
     then = now if at is None else finite_number(at)
     if then < now:
@@ -281,16 +265,16 @@ class Situation:
         self._state = state
         self.now = now  # the time for which it was made [s]
         self.forecast = forecast
+        self.attributes = views.Views(self, "attributes", views.AttributeView)
+        self.configurations = views.Views(self, "configurations", views.ConfigurationView)
+        self.designs = views.Views(self, "designs", views.DesignView)
+        self.components = views.Views(self, "components", views.ComponentView)
+        self.functions = views.Views(self, "functions", views.FunctionView)
+        self.actions = views.Views(self, "actions", views.ActionView)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Situation, (self._state, self.now, None)
 
-    actions = views.ViewsOf(views.ActionView)
-    functions = views.ViewsOf(views.FunctionView)
-    components = views.ViewsOf(views.ComponentView)
-    designs = views.ViewsOf(views.DesignView)
-    configurations = views.ViewsOf(views.ConfigurationView)
-    attributes = views.ViewsOf(views.AttributeView)
     is_feasible = is_feasible
     selectable_actions = selectable_actions
     selectable_designs = selectable_designs
@@ -313,10 +297,6 @@ class Situation:
         return f"<Situation of {self._state.network.model.name!r}: {outline(self._state)}>"
 
 
-def _names(what: str, names: Iterable[str]) -> tuple[str, ...]:
-    return (names,) if isinstance(names, str) else listed(f"names supposed to be {what}", names)
-
-
 def number(refusal: str, value: object, attribute: Node) -> float:
     """Return a value as a number in the attribute's range.
 
@@ -325,4 +305,4 @@ def number(refusal: str, value: object, attribute: Node) -> float:
     try:
         return attribute.attribute.checked(value)
     except InvalidValue as error:
-        raise InvalidValue(f"{refusal} {shown(value)}: {error}") from None
+        raise InvalidValue(f"{refusal} {value!r:.200}: {error}") from None

@@ -33,6 +33,7 @@ KEPT: Final = 10_000
 
 
 _UNSTORED: Final = ("network", "keep", "_outdated")
+_SHARED: Final = ("histories", "changed_by")  # by all copies, which do not change them
 
 
 class Reason(NamedTuple):
@@ -113,7 +114,7 @@ class State:
         """Return a copy to suppose other facts in."""
         other = State.__new__(State)
         for name, content in vars(self).items():
-            is_copied = isinstance(content, dict | set) and name != "histories"
+            is_copied = isinstance(content, dict | set) and name not in _SHARED
             vars(other)[name] = content.copy() if is_copied else content
         other._outdated = {kind: set() for kind in self._outdated}
         return other
@@ -169,18 +170,11 @@ class State:
 
     # ---------------------------------------------------------------- choosing
 
-    def decide(
-        self,
-        chosen: Sequence[Node],
-        reason: str = "",
-        time: float = 0.0,
-        cause: int | None = None,
-        number: int = 0,
-    ) -> tuple[list[Node], ReconfigurationPlan | None]:
+    def decide(self, chosen: Sequence[Node]) -> tuple[list[Node], ReconfigurationPlan | None]:
         """Decide what a choice changes; what is obsolete is given up. Nothing changes yet.
 
         Returns the designs and configurations that are selected and were not, or the other way
-        round, and the plan that carries it out; None if there is nothing to do.
+        round, and the steps that carry it out; None if there is nothing to do.
         """
         flips = []
         for node in chosen:
@@ -218,13 +212,7 @@ class State:
         )
         if not (activate or deactivate or parameters):
             return flips, None
-        plan = ReconfigurationPlan(
-            *(activate, deactivate, parameters, reason, time),
-            plain=names,
-            cause=cause,
-            number=number,
-        )
-        return flips, plan
+        return flips, ReconfigurationPlan(activate, deactivate, parameters, plain=names)
 
     def after(self, flips: Iterable[Node]) -> "State":
         """Return a copy in which these are selected if they were not, or the other way round."""
@@ -369,16 +357,9 @@ class State:
 
     def due(self, now: float) -> tuple[float, str, Node] | None:
         """Return what time has caused first until now [s]: when, the verb, and of what."""
-        while now >= self.next_due:
-            dues = [(time, node.index, what, node) for (what, node), time in self._due.items()]
-            self.next_due, _, what, node = min(dues, default=(NEVER, 0, "", None))
-            if node is None or now < self.next_due:
-                return None
-            status = self.judged(node, self.next_due)[0].status if what == "dwell" else None
-            if what != "dwell" or status is not self.verdict(node):
-                return self.next_due, what, node
-            self._judge(node, self.next_due)
-        return None
+        dues = [(time, node.index, what, node) for (what, node), time in self._due.items()]
+        self.next_due, _, what, node = min(dues, default=(NEVER, 0, "", None))
+        return None if node is None or now < self.next_due else (self.next_due, what, node)
 
     def _schedule(self, what: str, node: Node, time: float | None) -> None:
         """Note when time changes something of a node next [s]; None is never."""
@@ -436,30 +417,28 @@ class State:
 
     def infer(self) -> None:
         """Infer what is outdated. A node stays outdated until all that follows is stored."""
-        for kind, level in self._outdated.items():
+        for level in self._outdated.values():
             while level:
                 node = next(iter(level))
                 new = self._infer(node)
                 old = self.status.get(node)
                 if new is not old:
-                    unset = Status.NOT_EVALUATED if kind == "constraint" else Status.FEASIBLE
-                    self.before.setdefault(node, old or unset)
+                    if old is not None:
+                        self.before.setdefault(node, old)
                     for user in node.used_by:
                         self._outdated[user.kind].add(user)
                     self.status[node] = new
                 if node.kind in ("function", "component"):
                     _put(self.adaptable, node, _is_adaptable(node, new))
-                if node.kind == "component":
-                    is_active = node in self.active
-                    _put(self._obsolete, node, is_active and not self.serves(node))
-                    is_lacking = not is_active and self.is_required(node)
-                    _put(self._inactive_required, node, is_lacking)
-                elif node.kind in ("configuration", "function design"):
-                    _put(self._obsolete, node, node in self.selected and not self._is_of_use(node))
+                is_chosen = node in self.active or node in self.selected
+                _put(self._obsolete, node, is_chosen and not self._is_of_use(node))
+                is_idle = node.kind == "component" and node not in self.active
+                _put(self._inactive_required, node, is_idle and self.is_required(node))
                 level.discard(node)
 
-    def _is_of_use(self, chosen: Node) -> bool:
-        owner = chosen.used_by[0]
+    def _is_of_use(self, node: Node) -> bool:
+        """Return whether a component, or a part for its owner, can serve what is required."""
+        owner = node if node.kind == "component" else node.used_by[0]
         return self.is_required(owner) if owner.kind == "function" else self.serves(owner)
 
     def _infer(self, node: Node) -> Status:
@@ -516,23 +495,20 @@ class State:
                     node: value for key, value in content.items() if (node := _moved(key, nodes))
                 }
         for element in changed:
-            if isinstance(element, Attribute | Constraint):
-                state._restart(nodes[element], now)
+            if isinstance(element, Attribute | Constraint) and element in nodes:
+                state.restart(nodes[element], now)
         state.touch(network.present())
         state.infer()
         return state
 
-    def _restart(self, node: Node, now: float) -> None:
-        """Judge constraints as if all that is known of their attribute were the latest value."""
+    def restart(self, node: Node, now: float) -> None:
+        """Judge constraints by what is known of their attribute, whatever they were before."""
         is_attribute = node.kind == "attribute"
         attribute = node if is_attribute else node.requires[0]
         self.stale.discard(attribute)
-        if attribute in self.histories:
-            self.silent_until[attribute] = self.histories[attribute][-1][2] - 1
+        self.silent_until.pop(attribute, None)
         for constraint in attribute.constraints if is_attribute else [node]:
             self.debounced.pop(constraint, None)
-            if constraint in attribute.debounced:
-                self.debounced[constraint] = Debounced()
         self._schedule_attribute(attribute, now)
 
 

@@ -28,7 +28,6 @@ from kb.network import Network, Node
 from kb.records import (
     Attempt,
     Log,
-    Process,
     ReconfigurationPlan,
     RequiredAction,
     VetoAnswer,
@@ -118,7 +117,7 @@ class Store:
             then.amend(*json.loads(data)["arguments"])
         if then != model:
             raise StoreError(
-                f"{self.path}: the store is of another model: "
+                f"{self.path}: the store is of another model; only one of the two has "
                 f"{'; '.join(differences(then, model))}. Give that model, or name another file"
             )
 
@@ -388,7 +387,7 @@ _CLASSES: Final = {
     cls.__name__: cls
     for cls in (
         *(Status, Debounced, Reason),
-        *(RequiredAction, ReconfigurationPlan, Process, Attempt, VetoAnswer),
+        *(RequiredAction, ReconfigurationPlan, Attempt, VetoAnswer),
     )
 }
 """The classes of which facts are made, beside the plain ones."""

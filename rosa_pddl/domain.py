@@ -8,6 +8,7 @@ term is an object, or a variable such as `?x`.
 """
 
 import operator
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -39,6 +40,8 @@ Variables: TypeAlias = tuple[tuple[str, str], ...]
 
 TRUE: Formula = ("and",)
 FALSE: Formula = ("or",)
+
+_NAME = re.compile(r"[A-Za-z][\w.-]*", re.ASCII)
 
 # Below this, a float without a fraction is exactly the whole number that was written.
 _ALL_WHOLE = 2**53
@@ -185,14 +188,6 @@ class Step:
         return f"{self.schema}({', '.join(self.arguments)})"
 
 
-class TimedFact(NamedTuple):
-    """A fact that becomes true or false at a time after the start of the problem [s]."""
-
-    at_s: float
-    atom: str
-    is_true: bool
-
-
 @dataclass(frozen=True, eq=False)
 class Domain:
     """What `load_domain` returns; never changes.
@@ -208,7 +203,6 @@ class Domain:
         places: file and line of each object's declaration.
         facts: the initial facts of the problem file.
         numbers: the initial values of numbers, by their text.
-        timed: facts that change by themselves.
         goal: the goal conditions of the problem file.
         metric: what a plan costs, as a number; None for the number of its steps.
         computed: the numbers that actions change and that plans depend on; part of a state.
@@ -229,7 +223,6 @@ class Domain:
     places: Mapping[str, tuple[str, int]] = field(default_factory=dict, repr=False)
     facts: State = field(default=frozenset(), repr=False)
     numbers: Mapping[str, Exact] = field(default_factory=dict, repr=False)
-    timed: tuple[TimedFact, ...] = ()
     goal: tuple[Formula, ...] = ()
     metric: Number = None
     computed: frozenset[str] = frozenset()
@@ -387,9 +380,9 @@ def with_object(domain: Domain, name: str, type_name: str) -> Domain:
         message = f"{name!r} would be a ROSA action; those are added to the model and to"
         raise UnknownNameError(f"{message} {domain.file}")
     taken = {other.lower() for other in domain.types}
-    if not is_name(name) or name.lower() in taken:
+    if not _NAME.fullmatch(name) or name.lower() in taken:
         message = f"{name!r} cannot be added, expected a name that no object has"
-        raise UnknownNameError(f"{message}: a letter, then letters, digits, '_' or '-'")
+        raise UnknownNameError(f"{message}: a letter, then letters, digits, '_', '-' or '.'")
     return replace(domain, types={**domain.types, name: lineage})
 
 
@@ -407,12 +400,6 @@ def without_object(domain: Domain, name: str) -> Domain:
     facts = frozenset(fact for fact in domain.facts if spelled not in arguments_of(fact))
     goal = tuple(each for each in domain.goal if spelled not in constants_in(each))
     return replace(domain, types=types, facts=facts, goal=goal)
-
-
-def is_name(word: str) -> bool:
-    """Whether a word can be a name: a letter, then letters, digits and marks; SkiROS2 uses `:`."""
-    marks = all(letter.isalnum() or letter in "_-.:" for letter in word)
-    return marks and word[:1].isalpha() and word.isascii()
 
 
 def initial_state(domain: Domain) -> State:

@@ -1,5 +1,6 @@
 """A planning problem, what came of planning, and the PDDL text that engines read."""
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -40,7 +41,7 @@ _FREE = "rosa-free"
 
 
 class Outcome(Enum):
-    """How planning ended; if all attempts fail, the first of these that one had is reported."""
+    """How planning ended."""
 
     SOLVED = "solved"
     SOLVED_OPTIMALLY = "solved optimally"
@@ -85,36 +86,16 @@ class PlanningFailed(Exception):
 
 
 @dataclass(frozen=True)
-class Attempt:
-    """One strategy of planning that was tried.
-
-    Args:
-        strategy: `search`, or the name of an engine.
-        outcome: how it ended.
-        message: what went wrong and what to do about it; empty when solved.
-    """
-
-    strategy: str
-    outcome: Outcome
-    message: str = ""
-
-    def __str__(self) -> str:
-        reason = f" ({self.message})" if self.message else ""
-        return f"{self.strategy}: {self.outcome}{reason}"
-
-
-@dataclass(frozen=True)
 class PlanningResult:
     """The answer of a planner.
 
     Args:
         outcome: how it ended.
         steps: the plan, in the order of their starts; empty unless solved.
-        engine: the strategy that answered, or the engine that should have answered.
-        message: without a plan, what was tried and what to do about it.
+        engine: who answered: `search`, or the name of an engine.
+        message: without a plan, what went wrong and what to do about it.
         cost: what the plan adds to the metric, or the number of its steps without a metric.
         schedule: when each step starts and how long it takes, if steps may overlap.
-        attempts: what was tried, in order.
         assumptions: what the plan relies on and nobody knows, in sentences.
     """
 
@@ -124,14 +105,12 @@ class PlanningResult:
     message: str = ""
     cost: float | None = None
     schedule: tuple[TimedStep, ...] = ()
-    attempts: tuple[Attempt, ...] = ()
     assumptions: tuple[str, ...] = ()
 
     @property
-    def hangs_on_the_clock(self) -> bool:
-        """Whether an attempt ran out of time, so that a faster machine might answer otherwise."""
-        outcomes = {self.outcome, *(attempt.outcome for attempt in self.attempts)}
-        return Outcome.OUT_OF_TIME in outcomes
+    def attempts(self) -> tuple[str, ...]:
+        """Who was asked, with the outcome."""
+        return (f"{self.engine}: {self.outcome}",)
 
 
 @dataclass(frozen=True)
@@ -227,7 +206,9 @@ class _Writer:
         domain = self._domain
         if domain.only_planned:
             names = {name.lower(): name for name in domain.schema_of}
-            return PddlText(*domain.texts, names)
+            text, problem = domain.texts
+            init = " ".join(["(:init", *sorted(self._problem.state)])
+            return PddlText(text, re.sub(r"\(:init", init, problem, flags=re.I), names)
         actions = list[str]()
         for schema in domain.schema_of.values():
             actions += [_action_text(each) for each in self._versions(schema)]
@@ -265,7 +246,7 @@ class _Writer:
             amount = self._whole_cost(step, weight)
         elif metric is not None:
             # a step that has failed costs as much again for each try that is expected
-            amount = weight - 1 and ("*", weight - 1, _lifted(cost_of(self._domain, step)))
+            amount = weight - 1 and ("*", weight - 1, cost_of(self._domain, step))
         elif self._style == "overlapping":
             amount = weight - 1
         if not self._is_timed:
@@ -285,7 +266,7 @@ class _Writer:
         if isinstance(cost, tuple) and is_open:
             if cost[0] != "n":
                 raise UnsearchableError(f"the cost of {step.schema} is computed")
-            return _lifted(cost)
+            return cost
         value = self._values.number(cost, {})
         if value is None or value < 0:
             raise UnsearchableError(f"the cost of {step} is unknown, or less than nothing")
@@ -294,7 +275,7 @@ class _Writer:
     def _scale_of_costs(self) -> int:
         """Return a factor that makes all costs whole; raise if the engine needs other numbers."""
         domain = self._domain
-        if domain.computed or domain.compared or domain.timed:
+        if domain.computed or domain.compared:
             raise UnsearchableError("Fast Downward plans without numbers that rise and fall")
         costs = list(self._numbers().values())
         for schema in domain.schema_of.values():
@@ -365,8 +346,6 @@ class _Writer:
 
     def _timed_facts(self) -> Iterator[str]:
         if self._is_timed:
-            for at_s, atom, is_true in self._domain.timed:
-                yield f"(at {at_s} {atom if is_true else f'(not {atom})'})"
             for atom, left_s in self._problem.until.items():
                 yield f"(at {max(left_s, 0.001)} (not {atom}))"
 
@@ -376,8 +355,7 @@ class _Writer:
         if metric is not None and self._style != "costs":
             terms.append(text_of(metric))
         elif metric is None and self._style == "overlapping":
-            # unified-planning reads no sum with the time
-            terms = [*terms, f"({TIME})"] if self._problem.weights else [f"({TIME})"]
+            terms.append(f"({TIME})")
         for number, goal in enumerate(self._problem.soft):
             worth = number_text(exact(goal.worth or 0))
             terms.append(f"(* {worth} (is-violated rosa-soft-{number}))")
@@ -388,16 +366,6 @@ class _Writer:
         values = {**self._domain.numbers, **self._problem.costs}
         computed = self._domain.computed
         return {text: exact(n) for text, n in values.items() if head_of(text) not in computed}
-
-
-def _lifted(amount: Number) -> Number:
-    """Return a ground number in the form of a formula."""
-    if not isinstance(amount, tuple):
-        return amount
-    if amount[0] == "n":
-        name, *words = amount[1][1:-1].split()
-        return "n", name, tuple(words)
-    return amount[0], *(_lifted(part) for part in amount[1:])
 
 
 def merged(schema: Schema, *, has_axioms: bool) -> Schema | None:

@@ -5,7 +5,7 @@ refused where it stands.
 """
 
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -28,7 +28,6 @@ from rosa_pddl.domain import (
     PddlError,
     Schema,
     Signature,
-    TimedFact,
     UnknownNameError,
     UnsupportedPddlError,
     Variables,
@@ -58,6 +57,7 @@ _ONLY_PLANNED = frozenset(
         "preferences",
         "processes",
         "timed-initial-fluents",
+        "timed-initial-literals",
         "trajectory-constraints",
     ]
 )
@@ -367,18 +367,17 @@ def load_domain(
     """Read a PDDL domain and problem.
 
     Names keep the spelling of the files; an object, an action, a predicate and a type may have the
-    same name. If the files do not say which ROSA action a PDDL action does, `actions` says it:
-    an action in it gets the condition `(over all (action_feasible ...))` if it lacks that.
+    same name.
 
     Args:
         domain: path of the domain file, or a `Problem` of unified-planning.
         problem: path of the problem file; None if objects, facts and goals come from Python.
-        actions: for each PDDL action, the ROSA action that it does: its name, or the parameter
-            for it, such as `?a`.
+        actions: for PDDL actions of a domain without ROSA's predicates, the ROSA actions that they
+            do; they get the condition `(over all (action_feasible ...))`.
 
     Raises:
         PddlError: a file cannot be read or is not correct PDDL; the message gives the place.
-        UnknownNameError: `actions` names a PDDL action or a parameter that is not in the files.
+        UnknownNameError: `actions` names a PDDL action that there is not.
         UnsupportedPddlError: correct PDDL that cannot be planned here.
     """
     if hasattr(domain, "fluents"):
@@ -465,16 +464,13 @@ class _Reader:
         self._read_types()
         for tree in (*section(self.root, ":predicates"), *(each[0][1] for each in rules.values())):
             self._declare_signature(tree, is_number=False)
-        if self.does:
-            feasible = Signature(FEASIBLE, (("?a", ACTION_TYPE),), False)
-            self.signatures.setdefault(FEASIBLE, feasible)
         for tree in section(self.root, ":functions"):
             if isinstance(tree, tuple):
                 self._declare_signature(tree, is_number=True)
         self._read_objects(section(self.root, ":constants"))
         self._read_objects(section(self.problem, ":objects"))
         bodies = [tree for tree in self.root[2:] if _head(tree) in _BODIES]
-        self._read_rosa_actions([str(tree[1]) for tree in bodies], file)
+        self._declare_rosa_actions([str(tree[1]) for tree in bodies])
         domain = Domain(
             name=str(self.root[1][1]),
             file=file,
@@ -494,15 +490,13 @@ class _Reader:
     def _with_formulas(self, domain: Domain, rules: Mapping[str, list[Tree]]) -> Domain:
         facts = set[str]()
         numbers = dict[str, Exact]()
-        timed = list[TimedFact]()
         for tree in section(self.problem, ":init"):
-            self._read_fact(tree, facts, numbers, timed)
+            self._read_fact(tree, facts, numbers)
         goal = [self._formulas.condition(tree, {}) for tree in section(self.problem, ":goal")]
         domain = replace(
             domain,
             facts=frozenset(facts),
             numbers=numbers,
-            timed=tuple(sorted(timed)),
             goal=tuple(conjuncts(goal)),
             metric=self._metric(),
             axioms=self._axioms(rules),
@@ -526,9 +520,8 @@ class _Reader:
             names[name.lower()] = name
             is_root = parent.lower() == name.lower()
             above[name.lower()] = ["object" if is_root else parent.lower()]
-        if self.does:
-            names.setdefault(ACTION_TYPE, Word(ACTION_TYPE))
         names.pop("object", None)
+        above.pop("object", None)
         for kind in names:
             above.setdefault(kind, ["object"])
         for kind in TopologicalSorter(above).static_order():
@@ -557,22 +550,15 @@ class _Reader:
             if file == name.file:
                 self.notes.append(f"{file}:{name.line}: the object {str(name)!r} is declared twice")
 
-    def _read_rosa_actions(self, names: Collection[str], file: str) -> None:
+    def _declare_rosa_actions(self, schemas: list[str]) -> None:
         """Declare the ROSA actions that PDDL actions are said to do."""
-        for name, action in self.does.items():
-            if name not in names:
-                raise UnknownNameError(
-                    f"{file} has no PDDL action {name!r}; {nearest(name, names)}"
-                )
-            if action.startswith("?"):
-                continue
-            same = [other for other in self.types if other.lower() == action.lower()]
-            if not same:
-                self.types[action] = self.kinds[ACTION_TYPE][1]
-                self.places[action] = (file, 0)
-            elif ACTION_TYPE not in self.types[same[0]]:
-                message = f"the object {action!r} of {file} is not of type {ACTION_TYPE!r}"
-                raise UnknownNameError(message)
+        for schema, action in self.does.items():
+            if schema not in schemas:
+                raise UnknownNameError(f"no PDDL action {schema!r}; {nearest(schema, schemas)}")
+            self.kinds.setdefault(ACTION_TYPE, (ACTION_TYPE, (ACTION_TYPE, "object")))
+            signature = Signature(FEASIBLE, (("?a", ACTION_TYPE),), False)
+            self.signatures.setdefault(FEASIBLE, signature)
+            self.types.setdefault(action, (ACTION_TYPE, "object"))
 
     # ------------------------------------------------------------ actions
 
@@ -586,16 +572,10 @@ class _Reader:
         does = self.does.get(schema.name)
         if does is None:
             return replace(schema, action=_rosa_action_of(schema))
-        if does.startswith("?") and does not in dict(variables):
-            message = f"the PDDL action {schema.name!r} has no parameter {does!r}"
-            raise UnknownNameError(f"{message}; {nearest(does, dict(variables))}")
-        if FEASIBLE not in {name.lower() for name in names_in(schema.conditions)}:
-            needed: Formula = ("atom", self.signatures[FEASIBLE].name, (does,))
-            if schema.duration is None:
-                schema = replace(schema, start=(*schema.start, needed))
-            else:
-                schema = replace(schema, over_all=(*schema.over_all, needed))
-        return replace(schema, action=does.removeprefix("?"))
+        feasible: Formula = ("atom", FEASIBLE, (does,))
+        if schema.duration is None:
+            return replace(schema, start=(*schema.start, feasible), action=does)
+        return replace(schema, over_all=(*schema.over_all, feasible), action=does)
 
     # ------------------------------------------------------------ derived predicates
 
@@ -622,20 +602,13 @@ class _Reader:
 
     # ------------------------------------------------------------ the problem
 
-    def _read_fact(
-        self, tree: Tree, facts: set[str], numbers: dict[str, Exact], timed: list[TimedFact]
-    ) -> None:
+    def _read_fact(self, tree: Tree, facts: set[str], numbers: dict[str, Exact]) -> None:
         """Add what one part of `:init` states."""
         formulas = self._formulas
         head = _head(tree)
         if head == "and":
             for part in tree[1:]:
-                self._read_fact(part, facts, numbers, timed)
-        elif head == "at" and isinstance(tree[1], str) and _NUMBER.fullmatch(tree[1].lower()):
-            is_true = _head(tree[2]) != "not"
-            inner = tree[2] if is_true else tree[2][1]
-            atom = text_of(formulas.atom(inner, {}))
-            timed.append(TimedFact(float(tree[1]), atom, is_true))
+                self._read_fact(part, facts, numbers)
         elif head == "=":
             text = text_of(formulas.number(tree[1], {}))
             if text in numbers:

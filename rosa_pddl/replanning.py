@@ -268,11 +268,6 @@ class PlannerClient:
         """Whether a question is open."""
         return self._question is not None
 
-    @property
-    def was_answered_at_once(self) -> bool:
-        """Whether the answer to the open question may be taken in the tick of the request."""
-        return self._delay_s is None and self.has_answer
-
     def ask(self, problem: Problem, reason: str = "", cause: int | None = None) -> None:
         """Ask for a plan; an open question is given up."""
         self.give_up()
@@ -285,14 +280,9 @@ class PlannerClient:
 
     @property
     def has_answer(self) -> bool:
-        """Whether the answer is there and due, or is so late that it is given up."""
+        """Whether the answer is there and due."""
         question = self._question
-        if question is None or not self._is_due(question):
-            return False
-        # with a delay, simulated time does not tell whether the planner keeps its time limit
-        passed_s = self.clock() - question.at_s
-        is_late = self._delay_s is None and passed_s > self._planner.timeout_s + _GRACE_S
-        return question.future.done() or is_late
+        return question is not None and self._is_due(question) and question.future.done()
 
     def take(self) -> tuple[_Question, PlanningResult]:
         """Return the request and its answer."""
@@ -324,11 +314,6 @@ class PlannerClient:
 
     def _answer(self, question: _Question) -> PlanningResult:
         engine = str(getattr(self._planner, "engine", type(self._planner).__name__))
-        if not question.future.done():
-            passed_s = self.clock() - question.at_s
-            message = f"{engine} gave no answer in {passed_s:.3g} s"
-            message += "; allow more time or ask for less"
-            return PlanningResult(Outcome.OUT_OF_TIME, engine=engine, message=message)
         try:
             return question.future.result()
         except Exception as error:  # a planner of the user's own may raise anything

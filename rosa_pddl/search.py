@@ -219,7 +219,7 @@ class Grounded:
     """
 
     def __init__(self, domain: Domain, base: State, go_on: Callable[[int], None]) -> None:
-        if domain.only_planned or domain.timed:
+        if domain.only_planned:
             raise UnsearchableError("facts change by themselves")
         self.base = frozenset(atom for atom in base if not atom.startswith("(= "))
         self._derived = domain.derived

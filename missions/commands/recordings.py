@@ -65,7 +65,7 @@ def replay(
 
         watched = watch if report or stop_at else None
         task = task or run.get("task", "bt")
-        decisions = decide(bag, name, task=task, watch=watched, traced=False)
+        decisions = decide(bag, name, task=task, watch=watched)
     finally:
         gc.enable()
     stopped = runs[0].early_verdict if runs else None

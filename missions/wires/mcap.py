@@ -310,11 +310,12 @@ class Bag:
     def _commands(self) -> list[tuple[str, str, float, bool]]:
         """Return the commands: command, component, duration [s], and whether it succeeded."""
         commands = {}
-        attempts = [event for event in self.events if event.verb == "record_attempt"]
+        given = [event for event in self.events if event.verb == "record_attempt"]
+        attempts = {event.number: event for event in given}
         for event in self.events:
             if event.verb == "finish_attempt":
                 number, result, *_ = event.arguments
-                attempt = attempts[number - 1]
+                attempt = attempts[number]
                 _, component, operation, *_ = attempt.arguments
                 is_done = result == "completed"
                 duration_s = event.time - attempt.time

@@ -8,7 +8,7 @@ a bool. None is no value.
 import json
 import re
 import time
-from collections.abc import Callable, Container, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, get_args, get_origin
@@ -24,18 +24,13 @@ Value = Any
 Clock = Callable[[], float]
 """Gives the time [s]."""
 
-_EXACT = 2**53  # from here on, a double cannot hold every whole number
 _WHOLE = re.compile(r"-?\d+", re.ASCII)
 _NUMBER = re.compile(
-    r"\s*[-+]?(?:0x[0-9a-f]+|inf|nan|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)", re.IGNORECASE | re.ASCII
+    r"\s*[-+]?(?:inf|nan|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)", re.IGNORECASE | re.ASCII
 )
 BOOLS = {
     **dict.fromkeys(("1", "true", "TRUE", "True"), True),
     **dict.fromkeys(("0", "false", "FALSE", "False"), False),
-}
-_WORDS: Mapping[Any, Mapping[str, Value]] = {
-    bool: BOOLS,
-    Status: {**Status.__members__, "SKIPPED": Status.INVALID},
 }
 
 _ANY = (None, Any, object)
@@ -52,8 +47,6 @@ def is_number(value: object) -> bool:
 def double(value: Value) -> float:
     if not is_number(value):
         raise NodeError(f"{value!r} is no number")
-    if isinstance(value, int) and abs(value) >= _EXACT:
-        raise NodeError(f"{value} is too large for a double to hold exactly")
     return float(value)
 
 
@@ -87,7 +80,7 @@ def begun(text: str) -> float:
     match = _NUMBER.match(text)
     if match is None:
         raise NodeError(f"{text!r} is no number")
-    return float(int(match[0], 16)) if "x" in match[0].lower() else float(match[0])
+    return float(match[0])
 
 
 def convert(value: Value, wanted: Any) -> Value:  # noqa: ANN401  # a type of values
@@ -119,13 +112,13 @@ def _read(text: str, wanted: Any) -> Value:  # noqa: ANN401  # a type of values
         return text
     if text.startswith("json:"):
         return convert(json.loads(text[5:]), wanted)
-    if wanted in _WORDS:
-        return convert(_WORDS[wanted].get(text), wanted)
+    if wanted is Status and text == "SKIPPED":
+        return Status.INVALID
     if wanted is float:
         return begun(text)
     if wanted is int:
-        match = _WHOLE.match(text)
-        return int(match[0]) if match and -(2**31) <= int(match[0]) < 2**31 else whole(None)
+        number = int(_WHOLE.match(text)[0])  # type: ignore[index]  # if there is none, a TypeError
+        return convert(number if abs(number) < 2**31 else None, wanted)
     if get_origin(wanted) is list:
         parts = text.removesuffix(";").split(";") if text else []
         return [convert(part, get_args(wanted)[0]) for part in parts]
@@ -172,26 +165,29 @@ class Blackboard(MutableMapping[str, Any]):
     As a mapping, it does not contain empty entries.
 
     Args:
-        clock: of the whole tree; without it, that of the runner, or of this computer.
         parent: the blackboard of the tree around this one.
         ports: the attributes of the SubTree element: keys and constants.
         autoremap: whether all keys are remapped to their own names.
-        enums: the names that scripts can use, of the main tree.
+
+    Attributes:
+        root: the blackboard of the main tree, which has the clock and the enums of all.
+        clock: gives the time [s].
+        has_own_clock: whether it keeps its clock when the tree is run.
+        enums: the names that scripts can use.
     """
+
+    clock: Clock = time.monotonic
+    has_own_clock = False
+    enums: Mapping[str, int] = {}
 
     def __init__(
         self,
-        clock: Clock | None = None,
         parent: "Blackboard | None" = None,
         ports: Mapping[str, str] | None = None,
         *,
         autoremap: bool = False,
-        enums: Mapping[str, int] | None = None,
     ) -> None:
-        self.clock = clock or time.monotonic
-        self.has_own_clock = clock is not None
         self.root: Blackboard = self if parent is None else parent.root
-        self.enums: Mapping[str, int] = enums or {}
         self._parent = parent
         self._autoremap = autoremap
         self._entries: dict[str, Entry] = {}
@@ -293,32 +289,27 @@ class Ports:
         self.blackboard = blackboard
         self._declared = declared
         self.keys: dict[str, str] = {}
-        self.literals: dict[str, str] = {}
+        self.literals: dict[str, Value] = {}
         self._seen = 0
         for name, text in written.items():
             if name not in declared:
                 raise NodeError(f"it has no port {name!r}; {hint(name, declared, 'ports')}")
-            wanted = declared[name].data_type
             key = key_of(text, name)
             if key is None:
                 self.literals[name] = text
-                if wanted is not Status:  # a wrong outcome raises only in the tick
-                    self.get(name)
+                self.get(name)
                 continue
             self.keys[name] = key
+            wanted = declared[name].data_type
             entry = blackboard.make(key, wanted)
             if wanted in _ANY:
                 entry.declared = entry.declared or wanted
             elif entry.declared not in (*_ANY, wanted, str):
                 before = f"{{{key}}} is declared as {type_name(entry.declared)} already"
                 raise NodeError(f"{before}, and {name!r} declares it as {type_name(wanted)}")
-
-    def check_required(self, but: Container[str] = ()) -> None:
-        """Raise if a required port, except those in `but`, has neither a value nor a default."""
-        for name, port in self._declared.items():
-            is_set = name in self.keys or name in self.literals or name in but
-            if port.required and not (is_set or port.has_default):
-                raise NodeError(f"the port {name!r} is missing; write {name}=... in the element")
+        for name, port in declared.items():
+            if port.required and not port.has_default and name not in written:
+                raise NodeError(f"it needs a value for {name!r}; write {name}=... in the element")
 
     def exists(self, name: str) -> bool:
         """Tell whether a port has a value now; its default does not count."""
@@ -326,15 +317,11 @@ class Ports:
 
     def get(self, name: str) -> Value:
         """Return the value of a port now; its default if the element does not set it."""
-        key = self.keys.get(name)
-        if name in self.literals:
-            value: Value = self.literals[name]
-        elif key is None and self._declared[name].has_default:
-            return self._declared[name].default_value
-        elif key is None or key not in self.blackboard:
-            raise NodeError(f"the port {name!r} has no value (yet): {key!r} is not written")
-        else:
-            value = self.blackboard[key]
+        value = self.literals.get(name, self._declared[name].default_value)
+        if name in self.keys:
+            value = self.blackboard.get(self.keys[name])
+        if value is None:
+            raise NodeError(f"the port {name!r} has no value (yet)")
         try:
             return convert(value, self._declared[name].data_type)
         except NodeError as error:

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 from xml.parsers.expat import ExpatError, ParserCreate
 
 from rosa_bt.exceptions import XmlError, hint
-from rosa_bt.xml.blackboard import BOOLS
+from rosa_bt.xml.blackboard import BOOLS, key_of
 from rosa_bt.xml.nodes import RULES
 
 EXPLICIT = ("Action", "Condition", "Control", "Decorator")
@@ -42,8 +42,8 @@ _PORTS = {
 }
 _CHECKS = tuple(f"BlackboardCheck{kind}" for kind in ("Bool", "Double", "Int", "String"))
 _NO_COUNTERPART = ("ConsumeQueue", "ManualSelector", "PopFromQueue", "QueueSize")
-MARKS = frozenset({*_NODES, *_CHECKS})
-"""Nodes by which a file without BTCPP_format is known to be of version 3."""
+MARKS = frozenset({*_NODES, *_CHECKS, "__shared_blackboard"})
+"""Nodes, and an attribute, by which a file without BTCPP_format is known to be of version 3."""
 
 _log = logging.getLogger(__name__)
 
@@ -107,28 +107,25 @@ def _convert(element: Element, trees: Container[str | None]) -> Iterator[str]:
         XmlError: the node has no counterpart in version 4.
     """
     name = element.node
-    is_explicit = element.tag in EXPLICIT
     if name in _NO_COUNTERPART:
         raise element.error(f"<{name}> of version 3 has no counterpart in version 4; register it")
-    if name in trees and not is_explicit:
+    if name in MARKS and element.tag in EXPLICIT:
+        element.tag = element.attrib.pop("ID")
+    if element.tag in trees:
         element.tag = "SubTree"
         element.set("ID", name)
         yield f'<{name}> is <SubTree ID="{name}">'
-    elif name in _NODES:
-        if is_explicit:
-            element.set("ID", _NODES[name])
-        else:
-            element.tag = _NODES[name]
-        yield f"<{name}> is <{_NODES[name]}>"
-    for attribute, text in element.ports.items() if element.node == "SubTree" else ():
-        if text[:1] != "{":
-            element.set(attribute, f"{{{text}}}")
-            yield f'{attribute}="{text}" is {attribute}="{{{text}}}"'
+    elif element.tag in _NODES:
+        element.tag = _NODES[name]
+        yield f"<{name}> is <{element.tag}>"
     for attribute, text in list(element.items()):
-        renamed = _PORTS.get(f"{element.node} {attribute}")
+        renamed = _PORTS.get(f"{element.tag} {attribute}")
         if renamed and BOOLS.get(text, True):
             element.set(renamed, element.attrib.pop(attribute))
             yield f"{attribute} is {renamed}"
+        elif element.tag == "SubTree" and attribute in element.ports and text[:1] != "{":
+            element.set(attribute, f"{{{text}}}")
+            yield f'{attribute}="{text}" is {attribute}="{{{text}}}"'
     key = element.get("output_key", "")
     if name == "SetBlackboard" and key[:1] == "{":
         element.set("output_key", key[1:-1])
@@ -136,15 +133,12 @@ def _convert(element: Element, trees: Container[str | None]) -> Iterator[str]:
     if name in _CHECKS:
         sides = []
         for port in ("value_A", "value_B"):
-            text = element.needed(port)
+            text = element.attrib.pop(port, "")
             literal = f"'{text}'" if name.endswith("String") else text
-            match = re.fullmatch(r"{(\w+)}", text)
-            sides.append(match[1] if match else literal)
-            del element.attrib[port]
+            sides.append(key_of(text, port) or literal)
+        element.tag = "Precondition"
         element.set("if", " == ".join(sides))
         element.set("else", element.attrib.pop("return_on_mismatch", "FAILURE"))
-        element.tag = "Precondition"
-        element.attrib.pop("ID", None)
         yield f'<{name}> is <Precondition if="{element.get("if")}">'
 
 
@@ -171,15 +165,10 @@ class Document:
         for source in sources:
             text = source.lstrip("\ufeff \t\r\n") if isinstance(source, str) else ""
             if text.startswith("<"):
-                root = self._parse(text, "<text>")
-                self._collect(root, Path())
+                roots.append(self._collect(self._parse(text, "<text>"), Path()))
             else:
-                root = self._file(Path(source), "<text>")
-            roots.append(root)
-        if not roots:
-            raise XmlError("<text>", "there is no text and no file; give at least one")
-        mains = [root for root in roots if "main_tree_to_execute" in root.attrib]
-        self.root = [*mains, *roots][0]
+                roots.append(self._file(Path(source), "<text>"))
+        self.root = max(roots, key=lambda root: "main_tree_to_execute" in root.attrib)
 
     def note(self, where: str, text: str) -> None:
         """Log a warning, and keep it."""
@@ -191,9 +180,8 @@ class Document:
         name = name or self.root.get("main_tree_to_execute")
         if name is None:
             if len(self.trees) != 1:
-                names = ", ".join(self.trees) or "none"
                 advice = "say load_xml(..., tree=...) or write main_tree_to_execute in <root>"
-                raise self.root.error(f"which tree? There are: {names}; {advice}")
+                raise self.root.error(f"which tree? There are: {[*self.trees]}; {advice}")
             (name,) = self.trees
         return name
 
@@ -211,7 +199,7 @@ class Document:
         try:
             return _parse(text, file)
         except XmlError:
-            written = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
+            written = text if isinstance(text, str) else text.decode("utf-8", "replace")
             plain = _IGNORED.sub(lambda match: "\n" * match[0].count("\n"), written)
             escaped = _VALUE.sub(
                 lambda match: _BARE.sub("&amp;", match[0]).replace("<", "&lt;"), plain
@@ -239,50 +227,48 @@ class Document:
             self._collect(self._files[real], path.parent)
         return self._files[real]
 
-    def _collect(self, root: Element, folder: Path) -> None:
-        """Add what a file defines and includes."""
+    def _collect(self, root: Element, folder: Path) -> Element:
+        """Add what a file defines and includes; return its outermost element."""
         if root.tag != "root":
             raise root.error(f"the outermost element is <root>, not <{root.tag}>")
-        is_old = self._is_version_3(root)
         if len(root.findall("TreeNodesModel")) > 1:
             raise root.error("a file has one TreeNodesModel; put all its elements into the first")
+        is_old = self._is_version_3(root)
         trees = root.findall("BehaviorTree")
+        if len(trees) == 1:
+            trees[0].attrib.setdefault("ID", "BehaviorTree")
         names = [tree.get("ID") for tree in trees]
         for element in root.children:
             if element.tag == "BehaviorTree":
                 if len(element) != 1:
-                    count = f"not {len(element)}"
-                    raise element.error(f"a tree has one child, {count}; put a Sequence around")
-                if len(trees) == 1:
-                    element.attrib.setdefault("ID", "BehaviorTree")
+                    raise element.error(
+                        f"a tree has one child, not {len(element)}; put a Sequence around"
+                    )
                 self._add(self.trees, element)
                 for node in element.descendants:
                     for change in _convert(node, names) if is_old else ():
                         self.note(node.where, f"version 3 is converted: {change}")
                     self._read_rules(node)
+            elif element.tag == "TreeNodesModel":
+                for model in element.children:
+                    if model.tag in MODELS:
+                        self._add(self.models, model)
             elif element.tag == "include":
                 self._include(element, folder)
-            elif element.tag != "TreeNodesModel":
+            else:
                 self.note(element.where, f"<{element.tag}> means nothing in <root>")
-            for model in element.children if element.tag == "TreeNodesModel" else ():
-                if model.tag in MODELS:
-                    self._add(self.models, model)
+        return root
 
     def _is_version_3(self, root: Element) -> bool:
         """Tell whether a file is of version 3: it says so, or has its nodes and says nothing."""
-        version = root.get("BTCPP_format")
-        if version is not None:
-            if version not in ("3", "4"):
-                self.note(root.where, f"it has BTCPP_format {version!r}; read as version 4")
-            return version[:1] == "3"
-        is_old = False
-        for element in root.descendants:
-            names = {element.tag, element.get("ID"), *element.keys()}
-            is_old |= not MARKS.isdisjoint(names) or "__shared_blackboard" in names
-        text = 'read as version 4, in which ports of SubTree are texts: write BTCPP_format="4"'
-        if is_old:
-            text = "read as version 3, whose nodes it has"
-        self.note(root.where, f"it has no BTCPP_format; {text}")
+        version = root.get("BTCPP_format", "")
+        names = set[str | None]()
+        for element in root.descendants if not version else ():
+            names.update([element.tag, element.get("ID"), *element.keys()])
+        is_old = version[:1] == "3" or not MARKS.isdisjoint(names)
+        if version not in ("3", "4"):
+            given = f"BTCPP_format {version!r}" if version else "no BTCPP_format"
+            self.note(root.where, f"it has {given}; read as version {3 if is_old else 4}")
         return is_old
 
     def _read_rules(self, element: Element) -> None:
@@ -310,16 +296,10 @@ class Document:
         table[name] = element
 
     def _include(self, element: Element, folder: Path) -> None:
-        package = element.get("ros_pkg")
-        if package:
+        if package := element.get("ros_pkg"):
             prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
             shares = [Path(prefix, "share", package) for prefix in prefixes]
-            shares = [share for share in shares if share.is_dir()]
-            if not shares:
-                problem = f"the ROS package {package!r} is not below AMENT_PREFIX_PATH"
-                advice = "source the workspace that has it, or write the path alone"
-                raise element.error(f"{problem}; {advice}")
-            folder = shares[0]
+            folder = max(shares, key=Path.is_dir)  # the first that exists
         self._file(folder / element.needed("path"), element.where)
 
 

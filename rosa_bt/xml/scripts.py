@@ -32,11 +32,7 @@ _EPSILON = 2.0**-23  # numbers that differ by less are equal; `<` and `>` are ex
 
 
 def _quotient(left: float, right: float) -> float:
-    if right:
-        return left / right
-    if left == 0 or math.isnan(left):
-        return math.nan
-    return math.copysign(math.inf, left) * math.copysign(1, right)
+    return left / right if right else left * math.copysign(math.inf, right)
 
 
 def _is_equal(left: Value, right: Value) -> bool:
@@ -58,10 +54,10 @@ _OPERATORS: Mapping[str, tuple[Callable[[Value], Any], Callable[[Any, Any], Any]
 _COMPARISONS: Mapping[str, Callable[[Value, Value], bool]] = {
     "==": _is_equal,
     "!=": lambda left, right: not _is_equal(left, right),
-    "<": lambda left, right: not left >= right,  # nan is both less and greater than any number
-    ">": lambda left, right: not left <= right,
-    "<=": lambda left, right: not left > right,
-    ">=": lambda left, right: not left < right,
+    "<": operator.lt,
+    ">": operator.gt,
+    "<=": operator.le,
+    ">=": operator.ge,
 }
 
 
@@ -121,7 +117,7 @@ class _Run:
     def assign(self, target: Any, sign: str, expression: Any) -> Value:  # noqa: ANN401  # a node of the grammar
         board = self._board
         name = str(target)
-        if getattr(target, "type", "") != "NAME" or name in ("true", "false"):
+        if getattr(target, "type", "") != "NAME":
             raise NodeError("the left side of an assignment has to be a name")
         if sign != ":=" and board.entry(name) is None:
             raise NodeError(f"there is no {name!r} on the blackboard; `{name} := ...` makes it")
@@ -131,8 +127,6 @@ class _Run:
             raise NodeError(f"the value that is assigned to {name!r} is empty")
         before = entry.value
         if sign not in (":=", "="):
-            if isinstance(before, str) != isinstance(value, str):
-                raise NodeError(f"{sign!r} does not work with {before!r} and {value!r}")
             value = _operate(sign[0], before, value)
         elif isinstance(value, str) and not isinstance(before, str):
             if before is not None and entry.declared is None:
@@ -167,8 +161,8 @@ class _Run:
 
     def prefixed(self, sign: str, operand: Any) -> float:  # noqa: ANN401  # a node of the grammar
         number = double(self.value(operand))
-        if sign == "~":  # of the whole part of a number
-            return double(~whole(math.trunc(number)))
+        if sign == "~":
+            return double(~whole(number))
         return -number if sign == "-" else float(not number)
 
     def _number(self, value: Value) -> float:

@@ -16,8 +16,7 @@ from rosa_bt.decorators import Delay, Timeout, Timer
 from rosa_bt.exceptions import ExportError, XmlError
 from rosa_bt.xml.document import Document, wrong_id
 from rosa_bt.xml.nodes import NODES, Branch, Slot, XmlNode, is_plain
-from rosa_bt.xml.reader import SubTree, ports_of
-from rosa_bt.xml.registry import BehaviourRegistry, Registration
+from rosa_bt.xml.reader import BehaviourRegistry, Registration, SubTree, ports_of
 
 _TAGS: Mapping[type[Behaviour], str] = {
     Inverter: "Inverter",
@@ -110,9 +109,8 @@ def _source(
     if not is_known and (registry is not None or node.children or tag in NODES):
         return tag, {}, "it is not registered, and has no exact counterpart in BehaviorTree.CPP"
     problem = wrong_id(tag)
-    inputs, outputs = ports_of(node)
     attributes = {}
-    for name in {**registration.arguments, **inputs, **outputs}:
+    for name in {**registration.arguments, **ports_of(node)}:
         parameter = registration.parameters.get(name)
         try:
             value = getattr(node, name)

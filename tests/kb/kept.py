@@ -67,10 +67,6 @@ def answers(kb, *, ended=False):
         "reasons": [
             design.reason for design in (*kb.designs.values(), *kb.configurations.values())
         ],
-        "processes": [
-            (process.component, process.pid, process.start, process.end)
-            for process in kb.history.processes
-        ],
         "adaptable": (kb.adaptable_functions(), kb.adaptable_components(), kb.obsolete()),
     }
 
@@ -170,14 +166,6 @@ class Life:
                 command = kb.plans[-1], "camera", "configure", "day", given
                 yield kb.record_attempt, *command
                 yield kb.finish_attempt, kb.history.attempts[-1], "completed"
-            yield (
-                (kb.component_started, "lidar", chance.randrange(1000))
-                if chance.random() < 0.5
-                else (
-                    kb.component_ended,
-                    "lidar",
-                )
-            )
         elif what == 11:
             lidar = kb.components["lidar"]
             status = chance.choice(("failure", "solved", None))

@@ -6,7 +6,7 @@ from random import Random
 import pytest
 from clocks import Clock
 
-from kb import InvalidValue, KnowledgeBase, Model, ModelError, UnknownName
+from kb import InvalidValue, KnowledgeBase, Model, UnknownName
 from kb.elements import Rate
 
 
@@ -151,7 +151,7 @@ def test_situation_at_a_later_time_only_adds_caution():
 @pytest.mark.parametrize(
     ("declare", "error", "words"),
     [
-        (lambda energy: energy.forecast("crystal ball"), ModelError, "constant or trend"),
+        (lambda energy: energy.forecast("crystal ball"), UnknownName, "'constant', 'trend'"),
         (lambda energy: energy.changes(-1, while_="explor"), UnknownName, "explore"),
         (lambda energy: energy.changes(-1, per="m"), UnknownName, "min"),
         (lambda energy: energy.changes(math.inf), InvalidValue, "finite"),

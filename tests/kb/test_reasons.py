@@ -115,10 +115,6 @@ def test_a_status_lapses_also_while_nobody_is_there(lives, reopened):
     assert (kb.configurations["night"].status is Status.UNFEASIBLE) == (reopened < 312.0)
     lives.clock.now = 500.0
     assert kb.configurations["night"].status is Status.FEASIBLE
-    asserted = "?s a :AssertedStatus ; :reason ?why ; :until ?until ; :start ?start ; :end ?end"
-    assert kb.query(f"SELECT ?why ?until ?start ?end {{ {asserted} }}") == [
-        ("it failed", 312.0, 300.0, 312.0)
-    ]
 
 
 # failures
@@ -166,30 +162,6 @@ def test_reason_of_a_choice_is_kept_with_choice_and_plan(lives):
     )
     assert kb.select({}, {"camera": "day"}).reason == "day is feasible and preferred to night"
     assert kb.configurations["day"].reason == ""
-
-
-def test_a_plan_says_which_request_has_ended_and_why():
-    kb = KnowledgeBase(rover())
-    kb.request_action("explore")
-    carry_out(kb, PriorityPlanner().plan(kb))
-    kb.model.remove("explore")
-    assert PriorityPlanner().plan(kb).reason == (
-        "explore is abandoned: it is no longer in the model; "
-        "what was active or selected is no longer needed"
-    )
-
-
-def test_a_plan_names_the_newest_four_requests_that_ended():
-    kb = KnowledgeBase(rover())
-    kb.request_action("explore")
-    carry_out(kb, PriorityPlanner().plan(kb))
-    for number in range(9):
-        kb.request_action("explore")
-        kb.cancel_action("explore", "failed", f"attempt {number}")
-    assert PriorityPlanner().plan(kb).reason == (
-        "explore is failed: attempt 5; explore is failed: attempt 6; "
-        "explore is failed: attempt 7; 2 more"
-    )
 
 
 # attempts and answers

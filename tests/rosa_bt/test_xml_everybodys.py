@@ -33,8 +33,8 @@ NOTES = {
     "v3_subtree_plus": [
         "1: it has no BTCPP_format; read as version 3",
         "4: .*<SubTreePlus> is <SubTree>",
-        '4: .*="{cup}"',
         "4: .*__autoremap is _autoremap",
+        '4: .*="{cup}"',
     ],
     "v3_shared_blackboard": ["1: it has no", "5: .*__shared_blackboard is _autoremap"],
     "v3_stars": [

@@ -131,7 +131,6 @@ def test_page_has_a_row_for_each_node():
         "<Script code=\"v := 'x' == 1\"/>",
         "<a _skipIf=\"'x'\"/>",
         "<NonblockingSequence><a _skipIf='true'/></NonblockingSequence>",
-        '<Precondition if="true" else="NEVER"><a/></Precondition>',
         '<Repeat num_cycles="{gone}"><a/></Repeat>',
     ],
 )

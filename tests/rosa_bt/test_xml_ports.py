@@ -264,22 +264,19 @@ def test_leaves_of_ours_can_be_written():
 @pytest.mark.parametrize(
     ("element", "message"),
     [
-        ("<Add/>", "the port 'one' is missing; write one=..."),
+        ("<Add/>", "it needs a value for 'one'; write one=..."),
         ('<Add one="x"/>', "the port 'one': 'x' is no float"),
-        ('<Add one="1" twoo="1"/>', "it has no port 'twoo'; ports: one, other, total"),
+        ('<Add one="1" twoo="1"/>', "it has no port 'twoo'; known: 'one', 'other', 'total'"),
         ('<Say what="1" loud="maybe"/>', "the port 'loud': 'maybe' is no bool"),
-        ('<water plants="4"/>', "'action' is needed when the tree is made; write action=..."),
-        ('<water action="{a}"/>', "'action' is needed when the tree is made"),
+        ('<water plants="4"/>', "it needs a value for 'action'; write action=..."),
+        ('<water action="{a}"/>', "it needs a value for 'action'"),
         ('<water action="scann"/>', "did you mean 'scan'"),
         ('<water action="scan" plant="4"/>', "no port 'plant'; did you mean 'plants'?"),
         ('<water action="scan" plants="-1"/>', "cannot be made: OSError: no can"),
         ("<IsActionFeasible/>", "Input port 'action' (mapped to 'action') has no data"),
-        ('<HasStatus element="scan" status="tired"/>', "never 'tired'"),
+        ('<HasStatus element="scan" status="tired"/>', "is never tired"),
         ('<Measurement attribute="light" operator="=>" value="1"/>', "'=>' is not an operator"),
-        (
-            '<Measurement attribute="light" value="1"/>',
-            "'operator' is needed when the tree is made",
-        ),
+        ('<Measurement attribute="light" value="1"/>', "it needs a value for 'operator'"),
         ('<fixed action="drive"/>', "leave action=... out"),
     ],
 )
