@@ -79,7 +79,7 @@ _SUBCLASSES: Final = {
     "ProcessComponent": "RosNodeComponent",
     "Relation": "Constraint Estimation Parameter Preference",
     "Fact": "Measurement VetoAnswer Amendment Event Period",
-    "Period": """RequiredAction ReconfigurationPlan ComponentProcess Attempt Failure Activity
+    "Period": """RequiredAction ReconfigurationPlan Attempt Failure Activity
         Selection AssertedStatus AssertedRequirement ParametersInForce""",
 }
 _PARENTS: Final = {word: parent for parent, words in _SUBCLASSES.items() for word in words.split()}
@@ -105,7 +105,6 @@ _TABLE: Final = """
     setsParametersOf  ComponentConfiguration* ReconfigurationPlan.parameters Attempt.configuration
     ofPlan            ReconfigurationPlan     plan
     number            whole                   Attempt.number
-    pid               whole
     alwaysImprove     flag
     stopsToConfigure  flag
     latest            flag
