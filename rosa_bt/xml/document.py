@@ -253,6 +253,8 @@ class Document:
                 for model in element.children:
                     if model.tag in MODELS:
                         self._add(self.models, model)
+                    else:
+                        self.note(model.where, f"<{model.tag}> means nothing in <TreeNodesModel>")
             elif element.tag == "include":
                 self._include(element, folder)
             else:
