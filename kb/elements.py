@@ -131,14 +131,11 @@ def rates(field: str, name: str, value: Any) -> tuple[Rate, ...]:  # noqa: ANN40
     return tuple(by_action.values())
 
 
-def whole(what: str, value: object, least: int = 1) -> int:
-    """Return a whole number that is at least `least` and fits into 64 bits.
-
-    Any other value is refused.
-    """
-    if type(value) is int and least <= value < 2**63:
+def whole(what: str, value: object) -> int:
+    """Return a whole number from 1; any other value is refused."""
+    if type(value) is int and value > 0:
         return value
-    raise InvalidValue(f"{what} is a whole number from {least}, not {value!r:.200}")
+    raise InvalidValue(f"{what} is a whole number from 1, not {value!r:.200}")
 
 
 def choice(what: str, options: type[ChoiceT], value: object) -> ChoiceT:
@@ -181,8 +178,8 @@ def _parameter(configuration: str, key: object, value: object) -> object:
     if _is_scalar(value):
         return value
     if isinstance(value, list | tuple) and all(_is_scalar(item) for item in value):
-        kinds = {parameter_type(item) for item in value}
-        if kinds == {"long", "double"}:
+        kinds = {type(item) for item in value}
+        if kinds == {int, float}:
             return [float(item) for item in value]
         if len(kinds) <= 1:
             return list(value)
@@ -190,22 +187,6 @@ def _parameter(configuration: str, key: object, value: object) -> object:
         f"parameter {key!r} of configuration {configuration!r} is {value!r:.200}; "
         "allowed are a boolean, a finite number, a text, or a list of one of these"
     )
-
-
-PARAMETER_TYPES: Final[Mapping[type, str]] = {
-    bool: "boolean",
-    float: "double",
-    int: "long",
-    str: "string",
-}
-"""ROSA's words for the types of parameters."""
-
-
-def parameter_type(value: Parameter) -> str:
-    """Return the type of a parameter in ROSA's words; a list without items is one of texts."""
-    if isinstance(value, list):
-        return f"{parameter_type(value[0])}_array" if value else "string_array"
-    return next(word for kind, word in PARAMETER_TYPES.items() if isinstance(value, kind))
 
 
 def _is_scalar(value: object) -> bool:
@@ -269,7 +250,6 @@ _RANGE: Final = "the {field} end of the range of {name!r} is a number"
 _BOUND: Final = _number(_RANGE, -math.inf, math.inf, can_change=False)
 _AGREEMENT: Final = Field(agreement)
 _RATES: Final = Field(rates)
-_PER: Final = {"s": 1.0, "min": 60.0, "h": 3600.0}
 _PARAMETERS: Final = Field(lambda _, name, value: parameters(name, value))
 
 
@@ -461,23 +441,17 @@ class Attribute(Element):
         """State how this attribute is forecast where no rate applies: "constant" or "trend"."""
         self.model.change(self, forecasting=by)
 
-    def changes(
-        self, rate: float, *, per: str = "s", while_: "Action | str" = "", learns: bool = False
-    ) -> None:
-        """State how fast this attribute changes [its unit per "s", "min" or "h"].
+    def changes(self, rate: float, *, while_: "Action | str" = "", learns: bool = False) -> None:
+        """State how fast this attribute changes [its unit / s].
 
         It holds always, or while an action is done. There is one rate for each action; rates that
         apply at the same time add up. A rate that learns is replaced by the rate that is measured
         while its action alone is done.
         """
-        if per not in _PER:
-            raise UnknownName("time in which an attribute changes", per, _PER)
         name = while_.name if isinstance(while_, Action) else while_
         if name and name not in self.model.actions:
             raise UnknownName("action", name, self.model.actions)
-        self.model.change(
-            self, rates=(*self.rates, Rate(finite_number(rate) / _PER[per], name, learns))
-        )
+        self.model.change(self, rates=(*self.rates, Rate(finite_number(rate), name, learns)))
 
     def checked(self, value: object) -> float:
         """Return a value of this attribute as a float.

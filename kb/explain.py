@@ -12,7 +12,7 @@ from kb.elements import Action, exact
 from kb.network import Node
 from kb.planning import ranked
 from kb.remedies import Conjunction, remedies
-from kb.state import NO_REASON, State
+from kb.state import State
 from kb.status import IMPOSSIBLE, OPERATORS, Status
 
 _MOST: Final = 4
@@ -210,10 +210,6 @@ class _Explainer:
         age = _age(time, self._now)
         if status is None:
             return f"{attribute.name} is {shown} ({age})"
-        forecast = state.reasons.get(("forecast", attribute), NO_REASON).text
-        if time is None and forecast:
-            is_violated = status is Status.VIOLATED
-            return f"{forecast}; that makes {node.name} violated" if is_violated else forecast
         constraint = node.constraint
         bound = f"{constraint.operator} {attribute.attribute.amount(exact(constraint.value))}"
         holds = OPERATORS[constraint.operator](value, constraint.value)

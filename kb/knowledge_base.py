@@ -638,10 +638,7 @@ class KnowledgeBase:
             arguments = verb, *arguments
             verb = "replay_due"
         if verb not in _REPLAYABLE:
-            verbs = ", ".join(sorted(_REPLAYABLE))
-            raise InvalidValue(
-                f"{event!r} cannot be replayed; an event that can has one of the verbs {verbs}"
-            )
+            raise InvalidValue(f"{event!r} cannot be replayed")
         is_caused = verb in ("request_action", "cancel_action", "select")
         keywords = {"cause": event.cause} if is_caused else {}
         try:
@@ -935,13 +932,12 @@ class KnowledgeBase:
         """Return a plan of this base, given by itself or by its number."""
         plans = self._records.plans
         number = plan.number if isinstance(plan, ReconfigurationPlan) else plan
-        if number not in plans or plan not in (number, plans[number]):
-            numbers = f"{min(plans)} to {max(plans)}" if plans else "none yet"
+        own = plans.get(number)
+        if own is None or plan not in (own, number):
             raise InvalidValue(
-                f"{plan!r} is not a plan of this knowledge base; give one of kb.plans "
-                f"(numbers: {numbers})"
+                f"{plan!r} is not a plan of this knowledge base; give one of kb.plans"
             )
-        return plans[number]
+        return own
 
     def _node(self, element: ElementLike, kinds: Iterable[str]) -> Node:
         return resolve(self._state, element, kinds, unique=True)

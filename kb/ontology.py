@@ -79,7 +79,7 @@ _SUBCLASSES: Final = {
     "ProcessComponent": "RosNodeComponent",
     "Relation": "Constraint Estimation Parameter Preference",
     "Fact": "Measurement VetoAnswer Amendment Event Period",
-    "Period": """RequiredAction ReconfigurationPlan ComponentProcess Attempt Failure Activity
+    "Period": """RequiredAction ReconfigurationPlan Attempt Failure Activity
         Selection AssertedStatus AssertedRequirement ParametersInForce""",
 }
 _PARENTS: Final = {word: parent for parent, words in _SUBCLASSES.items() for word in words.split()}
@@ -105,7 +105,6 @@ _TABLE: Final = """
     setsParametersOf  ComponentConfiguration* ReconfigurationPlan.parameters Attempt.configuration
     ofPlan            ReconfigurationPlan     plan
     number            whole                   Attempt.number
-    pid               whole
     alwaysImprove     flag
     stopsToConfigure  flag
     latest            flag
@@ -126,7 +125,6 @@ _TABLE: Final = """
     status            text
     key               text
     parameterValue    text
-    parameterType     text
     change            text
     verb              text
     subject           text
@@ -300,7 +298,6 @@ class _Graph:
                 nested = {"prefers": self.thing(_id("Attribute", key)), "weight": content}
                 if name == "hasParameter":
                     nested = {"key": key, "parameter_value": json.dumps(content)}
-                    nested["parameter_type"] = elements.parameter_type(content)
                 part = Individual(_RANGES[name], _id(f"{_RANGES[name]}.{own}", key), nested)
                 self.put(part)
                 yield self.thing(part.id)

@@ -7,13 +7,12 @@ answers as the base would if some facts were different. No question changes anyt
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from types import MappingProxyType
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
 from kb import explain as explanation
 from kb import views
 from kb.elements import Constraint, Element, finite_number, listed, meant_by
 from kb.exceptions import InvalidValue
-from kb.forecast import feasible_until, suppose_forecast
 from kb.network import Network, Node, Ref
 from kb.planning import Choice, Obsolete, by_owner, firsts_by_priority
 from kb.state import State, in_order
@@ -201,7 +200,6 @@ def situation(
     failed: Iterable[str] = (),
     recovered: Iterable[str] = (),
     requested: Iterable[str] = (),
-    at: float | None = None,
     **attributes: float | None,
 ) -> "Situation":
     """Return a situation, "what if": a copy in which some facts differ.
@@ -216,20 +214,10 @@ def situation(
         failed: names of components supposed to have failed.
         recovered: names of components supposed not to have.
         requested: names of actions supposed to be required, even if they are unfeasible.
-        at: a time from now on [s, by the clock]. Attributes are forecast for it, as if all actions
-            that are required, or supposed to be, were done until then. A forecast only adds
-            caution: what is violated now stays violated, and what the worse end of a forecast's
-            interval violates is violated then.
         attributes: values by name of attribute, e.g. `light=0.3`.
     """
     values = {**(measured or {}), **attributes}
-    requested = tuple(requested)
     now = base.now
-    then = now if at is None else finite_number(at)
-    if then < now:
-        raise InvalidValue(
-            f"a situation is that of a time from now on, {now!r} s by the clock; not {at!r}"
-        )
     with base.reading() as present:
         state = present.copy()
         network = state.network
@@ -244,36 +232,26 @@ def situation(
             if value is not None:
                 value = number(f"{name} cannot be supposed to be", value, node)
             state.suppose_measurement(node, value)
-        if at is not None:
-            doing = base.forecast.doing(None).union(requested)
-            for name, node in network.attributes.items():
-                if name not in values:
-                    course = base.forecast.course(name, doing)
-                    suppose_forecast(state, node, course(then, now))
         state.infer()
-    return Situation(state, then, base.forecast)
+    return Situation(state, now)
 
 
 class Situation:
     """A knowledge base as it would be if some facts were different, at one moment.
 
     It is made by `KnowledgeBase.situation`, and is a copy: nothing that is recorded later changes
-    it. It can be pickled; then it can no longer forecast.
+    it.
     """
 
-    def __init__(self, state: State, now: float, forecast: Any) -> None:  # noqa: ANN401  # a `Forecaster`, which is made of views
+    def __init__(self, state: State, now: float) -> None:
         self._state = state
-        self.now = now  # the time for which it was made [s]
-        self.forecast = forecast
+        self.now = now  # the time at which it was made [s]
         self.attributes = views.Views(self, "attributes", views.AttributeView)
         self.configurations = views.Views(self, "configurations", views.ConfigurationView)
         self.designs = views.Views(self, "designs", views.DesignView)
         self.components = views.Views(self, "components", views.ComponentView)
         self.functions = views.Views(self, "functions", views.FunctionView)
         self.actions = views.Views(self, "actions", views.ActionView)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Situation, (self._state, self.now, None)
 
     is_feasible = is_feasible
     selectable_actions = selectable_actions
@@ -287,7 +265,6 @@ class Situation:
     why = why
     explain_choice = explain_choice
     situation = situation
-    feasible_until = feasible_until
 
     def reading(self) -> AbstractContextManager[State]:
         """Give the facts and statuses, to be read only, of the model as it was."""

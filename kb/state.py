@@ -336,7 +336,6 @@ class State:
         self.touch([node])
         self.time.pop(node, None)
         self.stale.discard(node)
-        self.reasons.pop(("forecast", node), None)
         self.value.pop(node, None)
         if value is not None:
             self.value[node] = value

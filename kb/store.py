@@ -12,7 +12,7 @@ import sqlite3
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from threading import Condition, Thread
@@ -86,11 +86,10 @@ class Store:
         self._owner = os.getpid()
         self._connection = connect(self.path, is_new_allowed=True)
         try:
-            self._read(model)
-        except BaseException as error:
+            with _refusals(self.path):
+                self._read(model)
+        except BaseException:
             self._connection.close()
-            if isinstance(error, sqlite3.Error):
-                raise damaged(self.path, error) from None
             raise
 
     def _read(self, model: Model) -> None:
@@ -277,20 +276,26 @@ def connect(path: Path, *, is_new_allowed: bool = False) -> sqlite3.Connection:
     """
     if not is_new_allowed and not path.exists():
         raise StoreError(f"{path}: there is no such file")
-    connection: sqlite3.Connection | None = None
-    try:
+    with _refusals(path):
         connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=1)
-        _prepare(connection, path)
-    except BaseException as error:
-        if connection is not None:
+        try:
+            _prepare(connection, path)
+        except BaseException:
             connection.close()
-        if isinstance(error, sqlite3.OperationalError):
-            what = "it is in use by another program" if "locked" in str(error) else str(error)
-            raise StoreError(f"{path}: the store cannot be opened: {what}") from None
-        if isinstance(error, sqlite3.DatabaseError):
-            raise damaged(path, error) from None
-        raise
+            raise
     return connection
+
+
+@contextmanager
+def _refusals(path: Path) -> Iterator[None]:
+    """Raise the errors of SQLite as those of a store."""
+    try:
+        yield
+    except sqlite3.OperationalError as error:
+        what = "it is in use by another program" if "locked" in str(error) else str(error)
+        raise StoreError(f"{path}: the store cannot be opened: {what}") from None
+    except sqlite3.DatabaseError as error:
+        raise damaged(path, error) from None
 
 
 def _prepare(connection: sqlite3.Connection, path: Path) -> None:
@@ -337,19 +342,14 @@ def store_info(path: Path) -> dict[str, object]:
     Raises:
         StoreError: it cannot be opened, or is damaged.
     """
-    with closing(connect(path)) as connection:
-        try:
-            check_integrity(connection, path)
-            about = dict(connection.execute("SELECT name, value FROM about"))
-            counts = connection.execute(
-                "SELECT verb, count(*) FROM events GROUP BY verb ORDER BY verb"
-            )
-            kept = ", ".join(f"{count} {verb}" for verb, count in counts)
-            ((last, first_time, last_time),) = connection.execute(
-                "SELECT max(number), min(time), max(time) FROM events"
-            )
-        except sqlite3.Error as error:
-            raise damaged(path, error) from None
+    with closing(connect(path)) as connection, _refusals(path):
+        check_integrity(connection, path)
+        about = dict(connection.execute("SELECT name, value FROM about"))
+        counts = connection.execute("SELECT verb, count(*) FROM events GROUP BY verb ORDER BY verb")
+        kept = ", ".join(f"{count} {verb}" for verb, count in counts)
+        ((last, first_time, last_time),) = connection.execute(
+            "SELECT max(number), min(time), max(time) FROM events"
+        )
         connection.execute("PRAGMA journal_mode=DELETE")
     model = json.loads(about.get("model", "[]"))
     return {

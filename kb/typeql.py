@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, TypeGuard, TypeVar
+from typing import Any, Final, TypeVar
 
 from lark import Lark, Token, Tree, UnexpectedInput, UnexpectedToken
 
@@ -145,7 +145,9 @@ class _Builder:
 
         def resolve(variable: Token) -> Thing:
             if variable not in variables:
-                unknown = UnknownName("variable", str(variable), filter(_is_text, variables))
+                unknown = UnknownName(
+                    "variable", str(variable), [key for key in variables if isinstance(key, str)]
+                )
                 what = f"{unknown}; a type is given by `{variable} isa ...`"
                 raise _place(file, variable).error(what)
             return variables[variable]
@@ -247,10 +249,6 @@ class _Builder:
 
 def _place(file: str, word: Token) -> Place:
     return Place(file, word.line or 1, word.column or 1)
-
-
-def _is_text(value: object) -> TypeGuard[str]:
-    return isinstance(value, str)
 
 
 def _thing(label: Token, file: str) -> Thing:

@@ -23,10 +23,6 @@ class Readable(Protocol):
     def now(self) -> float:
         """The time by the clock [s]."""
 
-    @property
-    def forecast(self) -> Any:  # noqa: ANN401  # a `Forecaster`, which is made of views
-        """The forecaster, which predicts attributes."""
-
     def reading(self) -> AbstractContextManager[State]:
         """Give the facts and statuses, to be read only; nothing changes within the `with`."""
 

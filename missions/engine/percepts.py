@@ -21,11 +21,10 @@ MISSION_STATUS: Final = "mission status"
 
 def check_message(message: Any, source: str) -> None:  # noqa: ANN401  # anything, until it is checked
     """Check the form of a message; raise MissionError, which names the source, if it is wrong."""
-    if not isinstance(message, Mapping) or not isinstance(message.get("time"), Real):
-        expected = 'a message is an object with a number "time" [s] and a list "status"'
+    time = message.get("time") if isinstance(message, Mapping) else None
+    if not isinstance(time, Real) or not 0 <= float(time) < inf:
+        expected = 'a message is an object with a number "time" [s] from 0 and a list "status"'
         raise MissionError(f"{source}: {expected}, not {message!r:.100}")
-    if not 0 <= message["time"] < inf:
-        raise MissionError(f'{source}: "time" is {message["time"]}; it is a number from 0')
     for status in message.get("status", [None]):
         values = status.get("values") if isinstance(status, Mapping) else None
         is_fit = isinstance(values, Mapping) and all(isinstance(name, str) for name in values)
