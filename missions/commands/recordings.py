@@ -2,7 +2,7 @@
 
 import gc
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from difflib import unified_diff
 from itertools import islice
 from pathlib import Path
@@ -104,8 +104,11 @@ def replay(
         print_lines(["decided as recorded"])
         return
     start_s = otherwise[0].split()[1]
-    print_lines([f"decided otherwise from {start_s} s on (-: recorded, +: now)"], "bold")
-    print_lines(_first(otherwise))
+    title = (
+        f"decided otherwise from {start_s} s on (-: recorded, +: now), in {len(otherwise)} lines"
+    )
+    print_lines([title], "bold")
+    print_lines(otherwise[:_SHOWN])
     raise Exit(FAILED)
 
 
@@ -129,12 +132,6 @@ def _print_notes(bag: Bag) -> None:
         print_lines([f"{bag.cut}; all before that is read"], "yellow")
     problems = bag.problems.items()
     print_lines((f"not read, {count} times: {problem}" for problem, count in problems), "yellow")
-
-
-def _first(lines: Sequence[str]) -> Iterator[str]:
-    yield from lines[:_SHOWN]
-    if len(lines) > _SHOWN:
-        yield f"... and {len(lines) - _SHOWN} more"
 
 
 def _decisions(bag: Bag, events: Iterable[Event]) -> list[str]:
