@@ -70,8 +70,7 @@ class Field(NamedTuple):
 
 def identifier(kind: str, name: object) -> str:
     if not isinstance(name, str) or not name.strip() or not name.isprintable():
-        article = "an" if kind[:1] in "aeiou" else "a"
-        what = f"the name of {article} {kind} is a non-empty text of printable characters"
+        what = f"the {kind}'s name is a non-empty text of printable characters"
         raise ModelError(f"{what}, not {name!r}")
     return name
 
@@ -157,8 +156,6 @@ def status_of(kind: str, value: object) -> Status:
 
 def listed(what: str, values: object) -> tuple[Any, ...]:
     """Return the items of a list; a single text is refused, as it would be read as its letters."""
-    if type(values) is tuple:
-        return values
     if isinstance(values, str | bytes) or not isinstance(values, Iterable):
         raise ModelError(f"{what} are given as a list, not as {values!r}")
     return tuple(values)
