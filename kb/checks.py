@@ -17,7 +17,6 @@ from kb.remedies import Interval, Requirements, bounds
 
 QUICK: Final = 4
 """How many alternatives suffice to see that an element is possible."""
-MOST_ACTIONS: Final = 4
 PREFERRED: Final = 32
 """The most preferred alternatives with which each one is compared."""
 
@@ -215,8 +214,6 @@ def _consequence(node: Node, impossible: Collection[Node]) -> str:
         users = [user for owner in owners for user in owner.used_by if user in impossible]
         owners = dict.fromkeys(users)
         actions |= {user.name: None for user in owners if user.kind == "action"}
-    if len(actions) > MOST_ACTIONS:
-        return f", so {len(actions)} actions can never be feasible, e.g. {next(iter(actions))}"
     return f", so action {listing(actions)} can never be feasible" if actions else ""
 
 

@@ -70,8 +70,7 @@ class Field(NamedTuple):
 
 def identifier(kind: str, name: object) -> str:
     if not isinstance(name, str) or not name.strip() or not name.isprintable():
-        article = "an" if kind[:1] in "aeiou" else "a"
-        what = f"the name of {article} {kind} is a non-empty text of printable characters"
+        what = f"the {kind}'s name is a non-empty text of printable characters"
         raise ModelError(f"{what}, not {name!r}")
     return name
 
@@ -131,14 +130,11 @@ def rates(field: str, name: str, value: Any) -> tuple[Rate, ...]:  # noqa: ANN40
     return tuple(by_action.values())
 
 
-def whole(what: str, value: object, least: int = 1) -> int:
-    """Return a whole number that is at least `least` and fits into 64 bits.
-
-    Any other value is refused.
-    """
-    if type(value) is int and least <= value < 2**63:
+def whole(what: str, value: object) -> int:
+    """Return a whole number from 1; any other value is refused."""
+    if type(value) is int and value > 0:
         return value
-    raise InvalidValue(f"{what} is a whole number from {least}, not {value!r:.200}")
+    raise InvalidValue(f"{what} is a whole number from 1, not {value!r:.200}")
 
 
 def choice(what: str, options: type[ChoiceT], value: object) -> ChoiceT:
@@ -160,8 +156,6 @@ def status_of(kind: str, value: object) -> Status:
 
 def listed(what: str, values: object) -> tuple[Any, ...]:
     """Return the items of a list; a single text is refused, as it would be read as its letters."""
-    if type(values) is tuple:
-        return values
     if isinstance(values, str | bytes) or not isinstance(values, Iterable):
         raise ModelError(f"{what} are given as a list, not as {values!r}")
     return tuple(values)
@@ -253,7 +247,6 @@ _RANGE: Final = "the {field} end of the range of {name!r} is a number"
 _BOUND: Final = _number(_RANGE, -math.inf, math.inf, can_change=False)
 _AGREEMENT: Final = Field(agreement)
 _RATES: Final = Field(rates)
-_PER: Final = {"s": 1.0, "min": 60.0, "h": 3600.0}
 _PARAMETERS: Final = Field(lambda _, name, value: parameters(name, value))
 
 
@@ -445,23 +438,17 @@ class Attribute(Element):
         """State how this attribute is forecast where no rate applies: "constant" or "trend"."""
         self.model.change(self, forecasting=by)
 
-    def changes(
-        self, rate: float, *, per: str = "s", while_: "Action | str" = "", learns: bool = False
-    ) -> None:
-        """State how fast this attribute changes [its unit per "s", "min" or "h"].
+    def changes(self, rate: float, *, while_: "Action | str" = "", learns: bool = False) -> None:
+        """State how fast this attribute changes [its unit / s].
 
         It holds always, or while an action is done. There is one rate for each action; rates that
         apply at the same time add up. A rate that learns is replaced by the rate that is measured
         while its action alone is done.
         """
-        if per not in _PER:
-            raise UnknownName("time in which an attribute changes", per, _PER)
         name = while_.name if isinstance(while_, Action) else while_
         if name and name not in self.model.actions:
             raise UnknownName("action", name, self.model.actions)
-        self.model.change(
-            self, rates=(*self.rates, Rate(finite_number(rate) / _PER[per], name, learns))
-        )
+        self.model.change(self, rates=(*self.rates, Rate(finite_number(rate), name, learns)))
 
     def checked(self, value: object) -> float:
         """Return a value of this attribute as a float.

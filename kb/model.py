@@ -600,11 +600,8 @@ def _key(element: Changeable) -> object:
 def _suffix(file: Path) -> str:
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
-        its_own = f"in {file.suffix!r}" if file.suffix else "without a suffix"
-        raise ModelFileError(
-            f"the name of a model's file ends in {' or '.join(SUFFIXES)}, this one {its_own}",
-            str(file),
-        )
+        what = f"the name of a model's file ends in {' or '.join(SUFFIXES)}"
+        raise ModelFileError(f"{what}, not in {file.suffix!r}", str(file))
     return suffix
 
 

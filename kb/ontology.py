@@ -79,7 +79,7 @@ _SUBCLASSES: Final = {
     "ProcessComponent": "RosNodeComponent",
     "Relation": "Constraint Estimation Parameter Preference",
     "Fact": "Measurement VetoAnswer Amendment Event Period",
-    "Period": """RequiredAction ReconfigurationPlan ComponentProcess Attempt Failure Activity
+    "Period": """RequiredAction ReconfigurationPlan Attempt Failure Activity
         Selection AssertedStatus AssertedRequirement ParametersInForce""",
 }
 _PARENTS: Final = {word: parent for parent, words in _SUBCLASSES.items() for word in words.split()}
@@ -105,7 +105,6 @@ _TABLE: Final = """
     setsParametersOf  ComponentConfiguration* ReconfigurationPlan.parameters Attempt.configuration
     ofPlan            ReconfigurationPlan     plan
     number            whole                   Attempt.number
-    pid               whole
     alwaysImprove     flag
     stopsToConfigure  flag
     latest            flag
@@ -444,11 +443,9 @@ def contradiction(text: str) -> str | None:
         empty = sorted(cls.name for cls in world.inconsistent_classes())
     except owlready2.OwlReadyInconsistentOntologyError:
         return "HermiT finds the ontology inconsistent: what it says cannot all be true"
-    except FileNotFoundError:
-        what = "HermiT, the reasoner, needs Java, which is not found; install a Java runtime"
-        raise KnowledgeBaseError(what) from None
-    except owlready2.OwlReadyJavaError as error:
-        raise KnowledgeBaseError(f"HermiT failed: {error}") from None
+    except (FileNotFoundError, owlready2.OwlReadyJavaError) as error:
+        what = "HermiT, the reasoner, needs a Java runtime and an ontology that it can read"
+        raise KnowledgeBaseError(f"{what}: {error}") from None
     finally:
         world.close()
     return f"HermiT finds that nothing can be a {', '.join(empty)}" if empty else None
@@ -575,11 +572,9 @@ class _Live(_Graph):
 
 def _happening(event: Event) -> Individual:
     """Describe an event."""
-    if event.verb == "amend":
-        stated = {"time": event.time, "change": event.text}
-        return Individual("Amendment", _id("Amendment", event.number), stated)
-    stated = {"time": event.time, "verb": event.verb, "subject": event.subject, "text": event.text}
-    return Individual("Event", _id("Event", event.number), stated)
+    word, words = ("Amendment", "change") if event.verb == "amend" else ("Event", "text")
+    stated = {"time": event.time, "verb": event.verb, "subject": event.subject, words: event.text}
+    return Individual(word, _id(word, event.number), stated)
 
 
 class Ontology:

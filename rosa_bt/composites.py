@@ -20,14 +20,14 @@ from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS, is_parallel
 
 
 def failed_as_unfeasible(task: Behaviour) -> bool:
-    """Tell whether a task failed because an action in it is unfeasible, or no longer in the model.
+    """Tell whether a task failed because an action in it is unfeasible.
 
     The child that failed last decides, e.g. the failed step of a sequence; of a parallel, all
     children that failed.
     """
     failed = [child for child in task.children if child.status is FAILURE]
     if isinstance(task, ActionBehaviour | ForAction):
-        is_unfeasible = task.action not in task.kb.actions or not task.kb.is_feasible(task.action)
+        is_unfeasible = not task.kb.is_feasible(task.action)
         if is_unfeasible or not failed:
             return is_unfeasible
     deciding = failed if is_parallel(task) else failed[-1:]

@@ -15,7 +15,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.composites import Parallel
 
-from kb import KnowledgeBase, UnknownName
+from kb import KnowledgeBase
 from kb import Status as ElementStatus
 from rosa_bt.exceptions import path_of, report
 
@@ -86,7 +86,7 @@ def why(kb: KnowledgeBase, action: str) -> str:
 def components_of(kb: KnowledgeBase, action: str) -> set[str]:
     """Return the components of all designs of the functions that an action requires."""
     components = set[str]()
-    for function in kb.actions[action].functions if action in kb.actions else ():
+    for function in kb.actions[action].functions:
         for design in kb.functions[function].designs:
             components.update(kb.designs[design].components)
     return components
@@ -173,10 +173,7 @@ class ActionRequest:
 
     def _objection(self, action: str) -> str:
         """Return why an action cannot begin or go on; empty if it can."""
-        try:
-            return "" if self._kb.is_feasible(action) else why(self._kb, action)
-        except UnknownName:
-            return f"{action} is no longer in the model"
+        return "" if self._kb.is_feasible(action) else why(self._kb, action)
 
     def _lacking(self, action: str) -> str:
         """Return why the robot is not configured for the action; empty if it is."""
@@ -197,7 +194,7 @@ class ActionRequest:
         if action is None:
             return
         is_last = [*self._requests.open.values()].count(action) == 1
-        if is_last and action in self._kb.actions:  # removing an action cancels its request
+        if is_last:
             if status is INVALID:
                 reason = reason or self._objection(action)
             reason = "" if status is SUCCESS else reason

@@ -234,8 +234,9 @@ def _tick_line(tick: Tick, before: Tick) -> str:
     """Return the line of a tick that follows another."""
     events = [(event.to_json(), place) for event, place in tick.events]
     line = tick._asdict() | {"events": events}
-    for name, value, earlier in zip(tick._fields, tick, before, strict=True):
-        if value == earlier:
+    earlier = before._asdict()
+    for name, value in tick._asdict().items():
+        if value == earlier[name]:
             del line[name]
     return _line(line)
 

@@ -480,7 +480,7 @@ class PlanExecutor(Behaviour):
                 self._request_plan("the state changed", self._cause)
             else:
                 self._request_plan("start")
-        asked = replanning.ask_if_allowed(planned_from)
+        asked = replanning.ask_if_allowed(planned_from, self._shares_left())
         if asked is not None:
             self._ended_meanwhile.clear()
             self.feedback_message = asked

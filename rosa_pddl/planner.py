@@ -35,7 +35,7 @@ from rosa_pddl.problem import (
     Problem,
 )
 from rosa_pddl.search import CapReached, Grounded
-from rosa_pddl.validate import TimedStep, flaw, plan_cost
+from rosa_pddl.validate import TimedStep, flaw, plan_cost, takes_s
 
 _LOG = logging.getLogger(__name__)
 
@@ -315,9 +315,13 @@ class _Planning:
             return answer
         problem = self._problem
         plan = answer.schedule or answer.steps
-        wrong = flaw(
-            self._domain, plan, problem.state, problem.wanted, problem.until, problem.costs
-        )
+        domain = self._domain
+        passed_s = 0.0  # of a first step that is running already
+        for step in answer.steps[:1]:
+            whole_s = takes_s(domain, step, problem.state, problem.costs)
+            passed_s = whole_s * (1.0 - problem.shares.get(step, 1.0))
+        until = {atom: left_s + passed_s for atom, left_s in problem.until.items()}
+        wrong = flaw(domain, plan, problem.state, problem.wanted, until, problem.costs)
         if wrong is not None:
             message = f"{strategy} returned a plan that does not work: {wrong}"
             raise PlanningFailed(Outcome.ENGINE_CRASHED, message)

@@ -38,6 +38,7 @@ from rosa_pddl.reader import Goal, atom_of
 from rosa_pddl.validate import TimedStep, Values
 
 _FREE = "rosa-free"
+_FIRST = "rosa-first"
 
 
 class Outcome(Enum):
@@ -126,6 +127,7 @@ class Problem:
         weights: factors on the costs of steps, such as steps that failed; 0 leaves a step out.
         until: how much longer facts `(action_feasible ?a)` will hold by the forecasts [s]; no
             step that needs such a fact may end later, unless a step makes it true again.
+        shares: which share of its duration is left of each running step, if a plan begins with it.
         soft: goals that a plan may give up, at the cost of their worth.
 
     Raises:
@@ -139,6 +141,7 @@ class Problem:
     costs: Mapping[str, float] = field(default_factory=dict, hash=False)
     weights: Mapping[Step, int] = field(default_factory=dict, hash=False)
     until: Mapping[str, float] = field(default_factory=dict, hash=False)
+    shares: Mapping[Step, float] = field(default_factory=dict, hash=False)
     soft: tuple[Goal, ...] = ()
 
     def __post_init__(self) -> None:
@@ -225,6 +228,11 @@ class _Writer:
                 excluded.append(("not", ("and", *same)))
                 if weight:
                     yield self._styled(schema, step, weight, same)
+        for step, share in self._problem.shares.items():
+            if self._style == "timed" and step.schema == schema.name and schema.duration:
+                least, most = (("*", exact(share), bound_s) for bound_s in schema.duration)
+                rest = replace(schema, duration=(least, most))
+                yield self._styled(rest, step, 1, [*self._same(step), ("atom", _FIRST, ())])
         arguments = tuple(name for name, _ in schema.variables)
         yield self._styled(schema, Step(schema.name, arguments), 1, excluded)
 
@@ -257,6 +265,8 @@ class _Writer:
         ends = schema.end_effects
         if amount != 0:
             ends = (*ends, Effect("increase", self._cost, (), amount=amount))
+        if self._style == "timed":
+            ends = (*ends, Effect("delete", _FIRST, ()))
         schema = replace(schema, name=name, end_effects=ends)
         return schema if self._style == "overlapping" else _exclusive(schema)
 
@@ -312,7 +322,7 @@ class _Writer:
             f"(:requirements {requirements})",
             f"(:types {' '.join(types)})" if types else "",
             f"(:constants {' '.join(constants)})" if constants else "",
-            f"(:predicates ({_FREE}) {' '.join(predicates)})",
+            f"(:predicates ({_FREE}) ({_FIRST}) {' '.join(predicates)})",
             f"(:functions {' '.join(numbers)} ({self._cost}))",
             *axioms,
             *actions,
@@ -331,7 +341,7 @@ class _Writer:
         numbers[f"({self._cost})"] = 0
         for text, value in numbers.items():
             facts.append(f"(= {text} {value if isinstance(value, int) else float(value)})")
-        facts += [f"({_FREE})", *self._timed_facts()]
+        facts += [f"({_FREE})", f"({_FIRST})", *self._timed_facts()]
         goals = [f"({_FREE})", *(text_of(goal) for goal in problem.wanted)]
         for number, goal in enumerate(problem.soft):
             goals.append(f"(preference rosa-soft-{number} {goal.text})")

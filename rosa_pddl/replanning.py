@@ -491,7 +491,7 @@ class Replanning:
         self.backoff.end_pauses()
         self.want(f"the other goals are reached; once more {names}")
 
-    def ask_if_allowed(self, state: State) -> str | None:
+    def ask_if_allowed(self, state: State, shares: Mapping[Step, float]) -> str | None:
         """Request the plan that is wanted, unless it is too soon; return what to show."""
         if self._wanted is None:
             return None
@@ -501,13 +501,15 @@ class Replanning:
         left_s = max(left_s, self.backoff.wait_s(None))
         if left_s > 0.0:
             return f"planning in {left_s:.2g} s: {reason}"
+        until = self._monitor.until()
         problem = Problem(
             domain=self._effects.domain,
             state=state,
             goals=tuple(goal.expression for goal in self.hard),
             costs=self._monitor.belief.numbers,
             weights=self.backoff.weights,
-            until=self._monitor.until(),
+            until=until,
+            shares=shares if until else {},
             soft=self._goals.soft,
         )
         self._client.ask(problem, *self._wanted)

@@ -70,8 +70,11 @@ class Element(ElementTree.Element):
     @property
     def ports(self) -> dict[str, str]:
         others = ("name", "ID") if self.tag in MODELS else ("name",)
-        names = [name for name in self.keys() if name not in others and name[:1] != "_"]
-        return {name: self.attrib[name] for name in names}
+        return {
+            name: text
+            for name, text in self.items()
+            if name not in others and not name.startswith("_")
+        }
 
     def needed(self, attribute: str) -> str:
         if not self.get(attribute):
@@ -253,6 +256,8 @@ class Document:
                 for model in element.children:
                     if model.tag in MODELS:
                         self._add(self.models, model)
+                    else:
+                        self.note(model.where, f"<{model.tag}> means nothing in <TreeNodesModel>")
             elif element.tag == "include":
                 self._include(element, folder)
             else:

@@ -58,7 +58,7 @@ class Slot:
     def tick(self) -> Ticking:
         """Tick the child and return its outcome; INVALID if it was skipped."""
         node = self.node
-        verdict = self._instead()
+        verdict = self._instead() if self.rules else None
         if verdict is not None:
             self.reset()
             node.status = self.status = verdict

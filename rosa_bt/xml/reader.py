@@ -212,9 +212,8 @@ def load_xml(
             raise element.error(f"{name!r} is the name of a node; rename the tree")
     board = Blackboard()
     board.enums = enums or {}
-    if clock is not None:
-        board.clock = clock
-        board.has_own_clock = True
+    board.clock = clock or board.clock
+    board.has_own_clock = clock is not None
     return _Builder(document, registry).tree(document.main(tree), document.root, None, board)
 
 

@@ -95,7 +95,7 @@ class _Run:
     def value(self, part: Any) -> Value:  # noqa: ANN401  # a tree or token of lark
         if isinstance(part, str):
             return getattr(self, part.type)(str(part))  # type: ignore[attr-defined]  # it is a token
-        return getattr(self, part.data, self.fold)(*part.children)
+        return getattr(self, part.data)(*part.children)
 
     def TEXT(self, text: str) -> str:  # as in the grammar
         return text[1:-1]
@@ -141,11 +141,8 @@ class _Run:
     def choose(self, condition: Any, yes: Any, no: Any) -> Value:  # noqa: ANN401  # a node of the grammar
         return self.value(yes if self._number(self.value(condition)) else no)
 
-    def fold(self, first: Any, *rest: Any) -> Value:  # noqa: ANN401  # a node of the grammar
-        value = self.value(first)
-        for sign, right in zip(rest[::2], rest[1::2], strict=True):
-            value = _operate(sign, value, self.value(right))
-        return value
+    def binary(self, left: Any, sign: str, right: Any) -> Value:  # noqa: ANN401  # nodes of the grammar
+        return _operate(sign, self.value(left), self.value(right))
 
     def compare(self, first: Any, *rest: Any) -> float:  # noqa: ANN401  # a node of the grammar
         left = self.value(first)

@@ -199,7 +199,7 @@ class NumberedTree(_Writer):
         self._whole = Element("root", BTCPP_format="4", main_tree_to_execute=main)
         self.tree(root)
         models = SubElement(self._whole, "TreeNodesModel")
-        models.extend([model for tag, model in sorted(self.models.items())])
+        models.extend([self.models[tag] for tag in sorted(self.models)])
         self.xml = tostring(self._whole, encoding="unicode")
 
     def shows(self, root: Behaviour) -> bool:

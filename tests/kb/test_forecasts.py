@@ -136,7 +136,6 @@ def test_replayed_events_give_the_same_forecasts():
     [
         (lambda energy: energy.forecast("crystal ball"), UnknownName, "'constant', 'trend'"),
         (lambda energy: energy.changes(-1, while_="explor"), UnknownName, "explore"),
-        (lambda energy: energy.changes(-1, per="m"), UnknownName, "min"),
         (lambda energy: energy.changes(math.inf), InvalidValue, "finite"),
     ],
 )

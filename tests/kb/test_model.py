@@ -63,7 +63,7 @@ def test_name_of_any_text_is_unique_within_its_kind(model, kind):
         with pytest.raises(DuplicateName, match="unique within a kind"):
             declare(model, kind, name)
     for name in ("", " ", "a\nb", None, 5, ("a",), b"a"):
-        match = rf"the name of an? {kind} is a non-empty text"
+        match = rf"the {kind}'s name is a non-empty text"
         refuses(model, lambda name=name: declare(model, kind, name), match=match)
 
 

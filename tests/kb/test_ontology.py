@@ -135,7 +135,7 @@ TYPE = f'<rdf:type rdf:resource="{ROSA}'
         (NAMED.format("<priorty>1</priorty>"), "unknown word of ROSA 'priorty'; did you mean"),
         (NAMED.format('<requires rdf:resource="http://x#b"/>'), "unknown individual 'http"),
         (NAMED.replace("Action", "Acton"), "unknown word of ROSA 'Acton'"),
-        (NAMED.replace("<name>go</name>", ""), "http://x#a: the name of an action is"),
+        (NAMED.replace("<name>go</name>", ""), "http://x#a: the action's name is"),
     ],
 )
 def test_file_that_is_no_model_is_an_error(text, message, tmp_path, capfd):

@@ -52,7 +52,7 @@ MEANING = [
     ("$x isa Componnt;", "6:8: unknown type 'Componnt'; did you mean 'Component'"),
     (
         "$x isa Component;",
-        "6:8: the name of a component is a non-empty text of printable characters, not ''",
+        "6:8: the component's name is a non-empty text of printable characters, not ''",
     ),
     ("$a isa Function;", "6:8: `.a` has a type already"),
     ("$c has component-name 'other';", "6:8: a second component-name; a component has one"),

@@ -270,6 +270,20 @@ def test_plan_that_cannot_be_kept_any_more_is_replaced_and_the_reason_is_the_for
     assert reason.endswith("): light falls by 0.01/s and reaches 0.25")
 
 
+def test_of_a_running_step_only_what_is_left_of_it_counts(sailing):
+    one = sailing(0.85)
+    one.run(45)
+    assert one.log[-1] == "look begun"
+    one.executor.goals.add("(waved)")
+    one.run(2)
+    assert one.reasons == [
+        "start",
+        "the goals changed: the rest of the plan does not reach (waved)",
+    ]
+    assert {step.schema for step in one.executor.plans[1].steps} == {"look", "wave"}
+    assert one.run(100) == done("sail", "look")
+
+
 def test_no_plan_says_that_it_is_for_what_is_forecast_and_is_looked_for_again_once_that_lasts_a_tenth_longer(
     sailing,
 ):
