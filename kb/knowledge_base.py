@@ -726,9 +726,8 @@ class KnowledgeBase:
         if event.verb == "finish_attempt" and event.arguments[1] == "completed":
             attempt = self._records.attempts[event.arguments[0]]
             if attempt.operation == "configure":
-                component = state.network.components.get(attempt.component)
-                if component is not None:
-                    state.parameters[component] = attempt.parameters
+                component = state.network.components[attempt.component]
+                state.parameters[component] = attempt.parameters
         state.before = {}
         self._event = None
         for witness in self.log.witnesses if is_new else ():

@@ -39,7 +39,6 @@ Variables: TypeAlias = tuple[tuple[str, str], ...]
 """Variables with their types."""
 
 TRUE: Formula = ("and",)
-FALSE: Formula = ("or",)
 
 _NAME = re.compile(r"[A-Za-z][\w.-]*", re.ASCII)
 
@@ -377,8 +376,7 @@ def with_object(domain: Domain, name: str, type_name: str) -> Domain:
     spelled = domain.spelling("type", type_name)
     lineage = domain.kinds[spelled.lower()][1]
     if ACTION_TYPE in lineage:
-        message = f"{name!r} would be a ROSA action; those are added to the model and to"
-        raise UnknownNameError(f"{message} {domain.file}")
+        raise UnknownNameError(f"{name!r} would be a ROSA action; add it to {domain.file}")
     taken = {other.lower() for other in domain.types}
     if not _NAME.fullmatch(name) or name.lower() in taken:
         message = f"{name!r} cannot be added, expected a name that no object has"
@@ -394,8 +392,7 @@ def without_object(domain: Domain, name: str) -> Domain:
     """
     spelled = domain.spelling("object", name)
     if ACTION_TYPE in domain.types[spelled]:
-        message = f"{spelled!r} is a ROSA action, which stays; the knowledge base says whether"
-        raise UnknownNameError(f"{message} it is feasible")
+        raise UnknownNameError(f"{spelled!r} is a ROSA action, which stays")
     types = {other: lineage for other, lineage in domain.types.items() if other != spelled}
     facts = frozenset(fact for fact in domain.facts if spelled not in arguments_of(fact))
     goal = tuple(each for each in domain.goal if spelled not in constants_in(each))

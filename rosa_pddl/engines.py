@@ -54,11 +54,8 @@ class EngineProcess:
             The outcome, and the steps: action, arguments, and if it says them start and duration.
         """
         deadline = time.monotonic() + limit_s
-        while not self._lock.acquire(timeout=_LOOKS_S):
-            if cancelled.is_set():
-                raise Cancelled
-            if time.monotonic() > deadline:
-                raise PlanningFailed(Outcome.OUT_OF_TIME, "it was busy with another question")
+        if not self._lock.acquire(timeout=max(limit_s, 0.0)):
+            raise PlanningFailed(Outcome.OUT_OF_TIME, "it was busy with another question")
         try:
             self._start()
             question = {

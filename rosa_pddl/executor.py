@@ -496,8 +496,7 @@ class PlanExecutor(Behaviour):
         return self._monitor.holding(wanted, state) == wanted
 
     def _activities(self) -> Iterator[str]:
-        for step in self.current_steps:
-            yield str(step)
+        yield from map(str, self.current_steps)
         if not self._running and self._plan is not None:
             for number in self._plan.startable:
                 step = self._plan.steps[number]

@@ -250,16 +250,6 @@ def substituted(formula: Any, binding: Binding) -> Any:  # noqa: ANN401  # a for
     return head, *(substituted(part, binding) for part in parts)
 
 
-def texts_in(number: Number) -> Iterator[str]:
-    """Yield the texts of the numbers in a number without variables."""
-    if isinstance(number, tuple):
-        if number[0] == "n":
-            yield text_of(number)
-        else:
-            for part in number[1:]:
-                yield from texts_in(part)
-
-
 def binding_of(domain: Domain, step: Step) -> Binding:
     """Return the arguments of a step by its variables."""
     names = [name for name, _ in domain.schema_of[step.schema].variables]

@@ -298,8 +298,11 @@ class Formulas:
         if isinstance(tree, str):
             if tree.lower() == TIME:
                 return "n", TIME, ()
-            is_duration = tree.lower() == DURATION and self.duration is not None
-            return self.duration if is_duration else self.constant(tree)
+            if tree.lower() == DURATION and self.duration is not None:
+                return self.duration
+            if not _NUMBER.fullmatch(tree.lower()):
+                raise _error(tree, "expected a number")
+            return exact(Fraction(tree.lower()))
         head = _head(tree)
         if head == TIME:
             return "n", TIME, ()
@@ -307,12 +310,6 @@ class Formulas:
             return "n", *self.application(tree, scope, is_number=True)
         parts = [self.number(part, scope) for part in tree[1:]]
         return head, *([0] if head == "-" and len(parts) == 1 else []), *parts
-
-    def constant(self, word: Tree) -> Exact:
-        """Read a number that is written in digits."""
-        if not (isinstance(word, str) and _NUMBER.fullmatch(word.lower())):
-            raise _error(word, "expected a number")
-        return exact(Fraction(word.lower()))
 
     def application(
         self, tree: Tree, scope: Scope, *, is_number: bool | None = None
@@ -613,7 +610,7 @@ class _Reader:
             text = text_of(formulas.number(tree[1], {}))
             if text in numbers:
                 raise _error(tree, "which is a second value, expected one")
-            numbers[text] = formulas.constant(tree[2])
+            numbers[text] = formulas.number(tree[2], {})
         elif head == "not":
             formulas.atom(tree[1], {})
         else:
