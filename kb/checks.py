@@ -109,6 +109,7 @@ def check_model(model: Owner, names: Iterable[str] | None = None) -> tuple[Findi
         *_incomplete(network),
         *_unused(model, network),
         *_doubtful_choices(model, network),
+        *_restored_twice(network),
         *(finding_of("file-note", f"model {model.name}", note) for note in model.notes),
     ]
     places = {
@@ -164,6 +165,18 @@ def _unused(model: Owner, network: Network) -> Iterator[Finding]:
         for node in table.values():
             if not node.used_by:
                 yield finding_of(f"unused-{node.kind}", node, f"{nobody} {node}")
+
+
+def _restored_twice(network: Network) -> Iterator[Finding]:
+    for node in (*network.attributes.values(), *network.components.values()):
+        actions = [
+            action.name
+            for action in network.actions.values()
+            if node.element in action.element.restores
+        ]
+        if len(actions) > 1:
+            message = f"{node} is restored by actions {listing(actions)}"
+            yield finding_of("restored-twice", node, message)
 
 
 # ---------------------------------------------------------------- what is never possible

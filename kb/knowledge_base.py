@@ -726,9 +726,8 @@ class KnowledgeBase:
         if event.verb == "finish_attempt" and event.arguments[1] == "completed":
             attempt = self._records.attempts[event.arguments[0]]
             if attempt.operation == "configure":
-                component = state.network.components.get(attempt.component)
-                if component is not None:
-                    state.parameters[component] = attempt.parameters
+                component = state.network.components[attempt.component]
+                state.parameters[component] = attempt.parameters
         state.before = {}
         self._event = None
         for witness in self.log.witnesses if is_new else ():
@@ -915,10 +914,6 @@ class KnowledgeBase:
         self.log.resume(store.saved)
         for number in list(self._records.open_plans):  # an earlier program left them
             self._record("finish_plan", number, "abandoned")
-        for attempt in list(self._records.attempts.values()):
-            if attempt.end is None:
-                reason = "its result is not known"
-                self._record("finish_attempt", attempt.serial, "abandoned", reason)
         self.log.time = -inf  # the clock may have started again at 0
         store.left = tuple(self._records.required)
 

@@ -5,7 +5,6 @@ a manager that is given another monitor, planner or executor works with it in th
 """
 
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from typing import Any, Protocol
 
 from kb.exceptions import UnknownName, Unselectable
@@ -155,9 +154,8 @@ class ConfigurationManager:
         reason = f"vetoed: {objection}"
         for event in kb.log.since(plan.cause or 0):
             for kind, name, is_selected in event.effects if event.plan is plan else ():
-                with suppress(UnknownName):  # it was removed from the model
-                    why_not = reason if is_selected else ""
-                    kb.assert_selected((kind, name), not is_selected, why_not)
+                why_not = reason if is_selected else ""
+                kb.assert_selected((kind, name), not is_selected, why_not)
         kb.finish_plan(plan, "abandoned")
         return True
 

@@ -488,13 +488,11 @@ class State:
         state.network = network
         for name, content in self.facts().items():
             if isinstance(content, set):
-                vars(state)[name] = {node for key in content if (node := _moved(key, nodes))}
+                vars(state)[name] = {_moved(key, nodes) for key in content}
             elif isinstance(content, dict):
-                vars(state)[name] = {
-                    node: value for key, value in content.items() if (node := _moved(key, nodes))
-                }
+                vars(state)[name] = {_moved(key, nodes): value for key, value in content.items()}
         for element in changed:
-            if isinstance(element, Attribute | Constraint) and element in nodes:
+            if isinstance(element, Attribute | Constraint):
                 state.restart(nodes[element], now)
         state.touch(network.present())
         state.infer()
@@ -512,11 +510,11 @@ class State:
 
 
 def _moved(key: Any, nodes: Mapping[Any, Node]) -> Any:  # noqa: ANN401  # a node, alone or in a pair
-    """Return a key of facts in another network; None if its element is not there."""
+    """Return a key of facts in another network."""
     if isinstance(key, Node):
-        return nodes.get(key.element)
+        return nodes[key.element]
     word, node = key
-    return (word, nodes[node.element]) if node.element in nodes else None
+    return word, nodes[node.element]
 
 
 def _put(nodes: set[Node], node: Node, is_in: bool) -> None:

@@ -133,9 +133,9 @@ class TreeRunner(BehaviourTree):
         try:
             for handler in filter(None, [pre_tick_handler, *self.pre_tick_handlers]):
                 handler(self)
-            self._begin_tick()
             for visitor in self.visitors:
                 visitor.initialise()
+            self._begin_tick()
             passing = [visitor for visitor in self.visitors if not visitor.full]
             for node in self.root.tick():
                 self._raise_error()

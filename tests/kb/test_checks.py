@@ -99,6 +99,11 @@ def exclude_dusk(model):
     camera_of(model).configuration("dusk", {"exposure": 0.1}, priority=0, constraints=dark)
 
 
+def restore_twice(model):
+    for name in ("explore_again", "look"):
+        model.action(name, requires=["see"], restores=["light"])
+
+
 SPECIMENS = [
     (
         "function-without-designs",
@@ -192,6 +197,12 @@ SPECIMENS = [
         "action explore",
         "prefers light, which is estimated for nothing",
         lambda model: model.add_fact(RequiredActionFact("explore", {"light": 1.0})),
+    ),
+    (
+        "restored-twice",
+        "attribute light",
+        "restored by actions explore_again and look",
+        restore_twice,
     ),
     (
         "unused-attribute",

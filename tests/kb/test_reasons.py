@@ -206,19 +206,6 @@ def answer(one):
     return one.plan.reason, one.time, one.is_vetoed, one.reason
 
 
-def test_attempt_under_way_is_abandoned_at_reopening(tmp_path):
-    lives = Lives(tmp_path / "mission.sqlite3")
-    lives.kb.request_action("explore")
-    lives.kb.record_attempt(
-        lives.kb.select({"see": "by camera"}, {"camera": "night"}), "camera", "activate"
-    )
-    lives.kb.flush()
-    lives.clock.now = 350.0
-    (one,) = lives.again().history.attempts
-    assert (one.end, one.result, one.plan.result) == (350.0, "abandoned", "abandoned")
-    lives.kb.close()
-
-
 # the end
 
 
