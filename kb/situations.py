@@ -246,13 +246,13 @@ class Situation:
     def __init__(self, state: State, now: float) -> None:
         self._state = state
         self.now = now  # the time at which it was made [s]
-        self.attributes = views.Views(self, "attributes", views.AttributeView)
-        self.configurations = views.Views(self, "configurations", views.ConfigurationView)
-        self.designs = views.Views(self, "designs", views.DesignView)
-        self.components = views.Views(self, "components", views.ComponentView)
-        self.functions = views.Views(self, "functions", views.FunctionView)
-        self.actions = views.Views(self, "actions", views.ActionView)
 
+    actions = views.ViewsOf(views.ActionView)
+    functions = views.ViewsOf(views.FunctionView)
+    components = views.ViewsOf(views.ComponentView)
+    designs = views.ViewsOf(views.DesignView)
+    configurations = views.ViewsOf(views.ConfigurationView)
+    attributes = views.ViewsOf(views.AttributeView)
     is_feasible = is_feasible
     selectable_actions = selectable_actions
     selectable_designs = selectable_designs

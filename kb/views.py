@@ -219,3 +219,19 @@ class Views(Mapping[str, ViewT]):
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._nodes())
+
+
+class ViewsOf(Generic[ViewT]):
+    """A property of a situation: the views of one kind, made anew so that nothing refers to itself.
+
+    So a situation is freed at once when nobody needs it.
+    """
+
+    def __init__(self, view: type[ViewT]) -> None:
+        self._view = view
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._kind = name
+
+    def __get__(self, base: Readable, owner: type) -> Views[ViewT]:
+        return Views(base, self._kind, self._view)
