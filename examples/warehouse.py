@@ -282,7 +282,7 @@ class WarehouseKind(WorldKind):
         """List what can be set."""
         return declared(Settings)
 
-    def open(self, values: Mapping[str, str], rng: Generator) -> Warehouse:
+    def open(self, values: Mapping[str, object], rng: Generator) -> Warehouse:
         """Open it with these settings."""
         return Warehouse(Settings.read(values), rng)
 

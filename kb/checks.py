@@ -10,23 +10,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from kb.elements import (
-    KINDS,
-    Attribute,
-    Constraint,
-    Element,
-    Owner,
-    RequiredActionFact,
-    listed,
-    text,
-)
+from kb.elements import KINDS, Attribute, Owner, RequiredActionFact, called, listed, text
 from kb.exceptions import UnknownName
 from kb.network import Network, Node
 from kb.remedies import Interval, Requirements, bounds
 
 QUICK: Final = 4
 """How many alternatives suffice to see that an element is possible."""
-MOST_ACTIONS: Final = 4
 PREFERRED: Final = 32
 """The most preferred alternatives with which each one is compared."""
 
@@ -74,9 +64,7 @@ class Finding:
         return f"{self.place}: {self.message}" if self.place else self.message
 
     def __str__(self) -> str:
-        return " ".join(
-            f"{self.severity}: {self.where_and_what} [{self.code}]; {self.advice}".split()
-        )
+        return f"{self.severity}: {self.where_and_what} [{self.code}]; {self.advice}"
 
 
 @cache
@@ -120,19 +108,16 @@ def check_model(model: Owner, names: Iterable[str] | None = None) -> tuple[Findi
         *_contradictions(network),
         *_incomplete(network),
         *_unused(model, network),
-        *_out_of_range(model),
         *_doubtful_choices(model, network),
         *_restored_twice(network),
         *(finding_of("file-note", f"model {model.name}", note) for note in model.notes),
     ]
-    places = {_described(element): place for element, place in model.places.items()}
+    places = {
+        f"{KINDS[type(element)]} {called(element)}": place
+        for element, place in model.places.items()
+    }
     placed = [replace(each, place=places.get(each.element, "")) for each in findings]
     return tuple(sorted(placed, key=lambda finding: finding.severity is not Severity.ERROR))
-
-
-def _described(element: Element | Constraint) -> str:
-    name = element.name if isinstance(element, Element) else element
-    return f"{KINDS[type(element)]} {name}"
 
 
 def _mismatches(actions: Collection[str], names: Iterable[str]) -> Iterator[Finding]:
@@ -182,31 +167,16 @@ def _unused(model: Owner, network: Network) -> Iterator[Finding]:
                 yield finding_of(f"unused-{node.kind}", node, f"{nobody} {node}")
 
 
-def _out_of_range(model: Owner) -> Iterator[Finding]:
-    """Yield the constraints that the range of their attribute decides for every measurement."""
-    for constraint in model.constraints:
-        attribute = model.attributes[constraint.attribute]
-        possible = Interval(attribute.low, attribute.high)
-        satisfied = Interval.of(constraint)
-        is_never = satisfied.meet(possible).is_empty
-        if possible != Interval() and (is_never or satisfied.covers(possible)):
-            how = "is never satisfied" if is_never else "is never violated"
-            where = listing(element.name for element in constraint.constrained)
-            what = _described(constraint)
-            message = f"{what} {how}: {attribute.name} is {attribute.range} (on {where})"
-            yield finding_of("out-of-range", what, message)
-
-
 def _restored_twice(network: Network) -> Iterator[Finding]:
-    restoring: dict[Element, list[str]] = {}
-    for node in network.actions.values():
-        for element in node.element.restores:
-            restoring.setdefault(element, []).append(node.name)
-    for element, actions in restoring.items():
+    for node in (*network.attributes.values(), *network.components.values()):
+        actions = [
+            action.name
+            for action in network.actions.values()
+            if node.element in action.element.restores
+        ]
         if len(actions) > 1:
-            what = _described(element)
-            message = f"{what} is restored by actions {listing(actions)}"
-            yield finding_of("restored-twice", what, message)
+            message = f"{node} is restored by actions {listing(actions)}"
+            yield finding_of("restored-twice", node, message)
 
 
 # ---------------------------------------------------------------- what is never possible
@@ -257,8 +227,6 @@ def _consequence(node: Node, impossible: Collection[Node]) -> str:
         users = [user for owner in owners for user in owner.used_by if user in impossible]
         owners = dict.fromkeys(users)
         actions |= {user.name: None for user in owners if user.kind == "action"}
-    if len(actions) > MOST_ACTIONS:
-        return f", so {len(actions)} actions can never be feasible, e.g. {next(iter(actions))}"
     return f", so action {listing(actions)} can never be feasible" if actions else ""
 
 
@@ -345,20 +313,18 @@ def _exclude_one_another(alternatives: Sequence[Mapping[str, Interval]]) -> bool
 
 def _excluded(component: Node) -> Iterator[Finding]:
     """Yield the configurations that the component's own constraints exclude, if not all."""
-    own = bounds(component)
-    clashes: list[tuple[Node, str]] = []
-    possible = 0
-    for part in component.requires:
-        needed = bounds(part)
-        if not _is_contradictory(needed):
-            possible += 1
-            shared = [name for name in needed if name in own]
-            excluding = [name for name in shared if needed[name].meet(own[name]).is_empty]
-            clashes += [(part, name) for name in excluding[:1]]
-    for part, name in clashes if len(clashes) < possible and not _is_contradictory(own) else ():
-        needs = bounds(part)[name].text(name)
-        message = f"{part} needs {needs}, but its {component} {own[name].text(name)}"
-        yield finding_of("never-selected", part, message)
+    excluded = {
+        part: name
+        for part in component.requires
+        for name, interval in _bounds_in_use(part).items()
+        if interval.is_empty
+    }
+    for part, name in excluded.items() if len(excluded) < len(component.requires) else ():
+        needed = bounds(part)[name]
+        if not needed.is_empty:
+            own = bounds(component)[name].text(name)
+            message = f"{part} needs {needed.text(name)}, but its {component} {own}"
+            yield finding_of("never-selected", part, message)
 
 
 def _dominated(owner: Node) -> Iterator[Finding]:

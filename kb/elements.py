@@ -5,9 +5,7 @@ the field is checked, and whether it may change after the declaration. The last 
 that a model can state: a knowledge base made of it begins with them.
 """
 
-import json
 import math
-import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
@@ -28,24 +26,14 @@ _MOST: Final = sys.float_info.max
 _LEAST: Final = 5e-324  # the least number above 0
 
 
-def shown(value: object) -> str:
-    """Write any value in short, even one whose `repr` fails."""
-    try:
-        return f"{value!r:.200}"
-    except Exception:  # numbers of thousands of digits, lists within themselves, what others write
-        return f"some {type(value).__name__} that cannot be shown"
-
-
 def finite_number(value: Any) -> float:  # noqa: ANN401  # whatever is given
     """Return the value as a float; text, booleans, NaN and infinities are refused."""
-    if type(value) is float and math.isfinite(value):
-        return value
     number = math.nan
     if hasattr(type(value), "__float__") and not isinstance(value, bool):
-        with suppress(Exception):  # of whatever kind of number it is
+        with suppress(TypeError, ValueError, OverflowError):
             number = float(value)
     if not math.isfinite(number):
-        raise InvalidValue(f"a finite number is needed, not {shown(value)}")
+        raise InvalidValue(f"a finite number is needed, not {value!r:.200}")
     return number
 
 
@@ -67,10 +55,6 @@ class Rate(NamedTuple):
     learns: bool = False
 
 
-FORECASTS: Final = ("constant", "trend")
-"""The ways in which an attribute can be forecast, beside its rates."""
-
-
 class Field(NamedTuple):
     """How a field of an element is checked; it stands in the annotation of the field.
 
@@ -85,21 +69,21 @@ class Field(NamedTuple):
 
 
 def identifier(kind: str, name: object) -> str:
-    if not isinstance(name, str) or not name.strip():
-        article = "an" if kind[:1] in "aeiou" else "a"
-        raise ModelError(f"the name of {article} {kind} is a non-empty text, not {name!r}")
+    if not isinstance(name, str) or not name.strip() or not name.isprintable():
+        what = f"the {kind}'s name is a non-empty text of printable characters"
+        raise ModelError(f"{what}, not {name!r}")
     return name
 
 
 def text(what: str, value: object) -> str:
     if not isinstance(value, str):
-        raise ModelError(f"{what} is a text, not {shown(value)}")
+        raise ModelError(f"{what} is a text, not {value!r:.200}")
     return value
 
 
 def flag(what: str, value: object, error: type[ValueError] = ModelError) -> bool:
     if not isinstance(value, bool):
-        raise error(f"{what} is True or False, not {shown(value)}")
+        raise error(f"{what} is True or False, not {value!r:.200}")
     return value
 
 
@@ -111,10 +95,9 @@ def _number(words: str, low: float, high: float, *, can_change: bool = True) -> 
     """Return a field for a number from a lowest to a highest; `words` are for other values."""
 
     def check(field: str, name: str, value: object) -> float:
-        is_fitting = is_number(value) and low <= value <= high
-        if is_fitting and not _MOST < abs(value) < math.inf:  # type: ignore[arg-type]  # it is a number
-            return float(value)  # type: ignore[arg-type]  # it is a number
-        raise ModelError(f"{words.format(field=field, name=name)}, not {shown(value)}")
+        if is_number(value) and low <= value <= high:
+            return float(value)
+        raise ModelError(f"{words.format(field=field, name=name)}, not {value!r:.200}")
 
     return Field(check, can_change)
 
@@ -122,50 +105,36 @@ def _number(words: str, low: float, high: float, *, can_change: bool = True) -> 
 def _priority(field: str, name: str, value: object) -> float | None:
     if value is None or (is_number(value) and abs(value) <= _MOST):
         return value
-    raise ModelError(f"the {field} of {name!r} is a finite number or None, not {shown(value)}")
+    raise ModelError(f"the {field} of {name!r} is a finite number or None, not {value!r:.200}")
 
 
 def agreement(field: str, name: str, value: object) -> tuple[int, int]:
-    """Return n and k, given as a pair or as text in a file: "2 of 3", "[2, 3]"."""
-    match (
-        [int(digits) for digits in re.findall(r"\d{1,9}", value)]
-        if isinstance(value, str)
-        else value
-    ):
-        case [int(enough), int(last)] if 0 < enough <= last < 2 * enough and type(enough) is int:
+    """Return n and k, given as a pair."""
+    match value:
+        case [int(enough), int(last)] if 0 < enough <= last < 2 * enough:
             return enough, last
     what = f"{field} of {name!r} is two whole numbers (n, k), n of the last k measurements"
-    raise ModelError(f"{what} and more than half of them, e.g. (2, 3); not {shown(value)}")
+    raise ModelError(f"{what} and more than half of them, e.g. (2, 3); not {value!r:.200}")
 
 
-def forecasting(field: str, name: str, value: object) -> str:
-    if isinstance(value, str) and value in ("", *FORECASTS):
-        return value
-    raise ModelError(f"the {field} of {name!r} is {' or '.join(FORECASTS)}, not {shown(value)}")
-
-
-def rates(field: str, name: str, value: object) -> tuple[Rate, ...]:
-    """Return rates of change, also from JSON; the last one for an action holds."""
-    read: Any = json.loads(value) if isinstance(value, str) else value
+def rates(field: str, name: str, value: Any) -> tuple[Rate, ...]:  # noqa: ANN401  # whatever is given
+    """Return rates of change; the last one for an action holds."""
     by_action: dict[str, Rate] = {}
     try:
-        for rate, action, learns in read:
+        for rate, action, learns in value:
             text("what it holds while", action)
             by_action[action] = Rate(finite_number(rate), action, flag("learns", learns))
     except (TypeError, ValueError) as error:
         what = f"{field} of {name!r} are (per s, while, learns)"
-        raise ModelError(f"{what}, not {shown(value)}: {error}") from None
+        raise ModelError(f"{what}, not {value!r:.200}: {error}") from None
     return tuple(by_action.values())
 
 
-def whole(what: str, value: object, least: int = 1) -> int:
-    """Return a whole number that is at least `least` and fits into 64 bits.
-
-    Any other value is refused.
-    """
-    if type(value) is int and least <= value < 2**63:
+def whole(what: str, value: object) -> int:
+    """Return a whole number from 1; any other value is refused."""
+    if type(value) is int and value > 0:
         return value
-    raise InvalidValue(f"{what} is a whole number from {least}, not {shown(value)}")
+    raise InvalidValue(f"{what} is a whole number from 1, not {value!r:.200}")
 
 
 def choice(what: str, options: type[ChoiceT], value: object) -> ChoiceT:
@@ -179,16 +148,14 @@ def choice(what: str, options: type[ChoiceT], value: object) -> ChoiceT:
 
 def status_of(kind: str, value: object) -> Status:
     """Return a status that elements of a kind can have."""
-    if value not in STATUSES.get(kind, ()):
-        known = ", ".join(repr(str(status)) for status in STATUSES.get(kind, ()))
-        raise InvalidValue(f"a {kind} is never {value!s:.60}; it can be {known}")
+    possible = STATUSES.get(kind, ())
+    if value not in possible:
+        raise InvalidValue(f"a {kind} is never {value!s:.60}; it can be {', '.join(possible)}")
     return Status(str(value))
 
 
 def listed(what: str, values: object) -> tuple[Any, ...]:
     """Return the items of a list; a single text is refused, as it would be read as its letters."""
-    if type(values) is tuple:
-        return values
     if isinstance(values, str | bytes) or not isinstance(values, Iterable):
         raise ModelError(f"{what} are given as a list, not as {values!r}")
     return tuple(values)
@@ -197,46 +164,26 @@ def listed(what: str, values: object) -> tuple[Any, ...]:
 def parameters(configuration: str, values: object) -> Mapping[str, Any]:
     """Return the parameters of a configuration, a copy that cannot be changed."""
     if not isinstance(values, Mapping):
-        raise ModelError(
-            f"the parameters of {configuration!r} are given as values by name, not as {values!r}"
-        )
-    for key in values:
-        if not isinstance(key, str):
-            raise ModelError(f"the name of a parameter of {configuration!r} is a text, not {key!r}")
-    return MappingProxyType(
-        {key: _parameter(configuration, key, value) for key, value in values.items()}
-    )
+        what = f"the parameters of {configuration!r} are given as values by name"
+        raise ModelError(f"{what}, not as {values!r}")
+    return MappingProxyType({key: _parameter(configuration, key, values[key]) for key in values})
 
 
-def _parameter(configuration: str, key: str, value: object) -> object:
+def _parameter(configuration: str, key: object, value: object) -> object:
+    if not isinstance(key, str):
+        raise ModelError(f"the name of a parameter of {configuration!r} is a text, not {key!r}")
     if _is_scalar(value):
         return value
     if isinstance(value, list | tuple) and all(_is_scalar(item) for item in value):
-        kinds = {parameter_type(item) for item in value}
-        if kinds == {"long", "double"}:
+        kinds = {type(item) for item in value}
+        if kinds == {int, float}:
             return [float(item) for item in value]
         if len(kinds) <= 1:
             return list(value)
     raise ModelError(
-        f"parameter {key!r} of configuration {configuration!r} is {shown(value)}; "
+        f"parameter {key!r} of configuration {configuration!r} is {value!r:.200}; "
         "allowed are a boolean, a finite number, a text, or a list of one of these"
     )
-
-
-PARAMETER_TYPES: Final[Mapping[type, str]] = {
-    bool: "boolean",
-    float: "double",
-    int: "long",
-    str: "string",
-}
-"""ROSA's words for the types of parameters."""
-
-
-def parameter_type(value: Parameter) -> str:
-    """Return the type of a parameter in ROSA's words; a list without items is one of texts."""
-    if isinstance(value, list):
-        return f"{parameter_type(value[0])}_array" if value else "string_array"
-    return next(word for kind, word in PARAMETER_TYPES.items() if isinstance(value, kind))
 
 
 def _is_scalar(value: object) -> bool:
@@ -273,6 +220,14 @@ class StalePolicy(StrEnum):
     VIOLATED = "violated"
 
 
+class Forecasting(StrEnum):
+    """How an attribute is forecast beside its rates: not at all, as it is, or by its trend."""
+
+    NONE = ""
+    CONSTANT = "constant"
+    TREND = "trend"
+
+
 class EstimationKind(StrEnum):
     """How a choice affects an attribute: adds to it, takes from it, or sets it."""
 
@@ -285,16 +240,13 @@ _FLAG: Final = Field(lambda field, name, value: flag(f"{field} of {name!r}", val
 _TEXT: Final = Field(lambda field, name, value: text(f"the {field} of {name!r}", value), False)
 _NUMBER: Final = Field(lambda _, __, value: finite_number(value))
 _TIME: Final = Field(lambda _, __, value: None if value is None else finite_number(value))
-_PID: Final = Field(lambda _, __, value: whole("a process number", value, 0))
 _PRIORITY: Final = Field(_priority)
 _SPAN: Final = _number("the {field} of {name!r} is a number from 0", 0, _MOST)
 _AGE: Final = _number("{field} of {name!r} is a time in seconds above 0", _LEAST, math.inf)
 _RANGE: Final = "the {field} end of the range of {name!r} is a number"
 _BOUND: Final = _number(_RANGE, -math.inf, math.inf, can_change=False)
 _AGREEMENT: Final = Field(agreement)
-_FORECASTING: Final = Field(forecasting)
 _RATES: Final = Field(rates)
-_PER: Final = {"s": 1.0, "min": 60.0, "h": 3600.0}
 _PARAMETERS: Final = Field(lambda _, name, value: parameters(name, value))
 
 
@@ -306,13 +258,12 @@ class Owner(Protocol):
     """A model, for its elements and for those who read it; see `Model`."""
 
     name: str
+    actions: Mapping[str, "Action"]
     attributes: Mapping[str, "Attribute"]
     tables: Mapping[type, Mapping[Any, Any]]
     notes: list[str]
     places: dict["Element | Constraint", str]
 
-    @property
-    def actions(self) -> Mapping[str, "Action"]: ...
     @property
     def constraints(self) -> tuple["Constraint", ...]: ...
     @property
@@ -323,13 +274,12 @@ class Owner(Protocol):
     def constrain_all(
         self, elements: Iterable["Constrainable"], constraints: Iterable["Expression"]
     ) -> tuple["Constraint", ...]: ...
-    def add_fact(self, fact: "Fact") -> None: ...
     def state(
         self, cls: type[T], values: Mapping[str, Any], constraints: Iterable["Expression"] = ()
     ) -> T: ...
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Expression:
     """A comparison of an attribute with a number, e.g. `light >= 0.5`.
 
@@ -349,11 +299,8 @@ class Expression:
                 f"{self.operator!r} is no comparison; there are {', '.join(OPERATORS)}"
             )
         finite_number(self.value)
-        for what, unit in (("hysteresis", "in the attribute's unit"), ("dwell", "in seconds")):
-            if finite_number(getattr(self, what)) < 0:
-                raise ModelError(
-                    f"the {what} of {self} is a number from 0, {unit}; not {getattr(self, what)!r}"
-                )
+        for what in ("hysteresis", "dwell"):
+            _SPAN.check(what, str(self), getattr(self, what))
 
     def steady(self, *, hysteresis: float = 0.0, dwell: float = 0.0) -> "Expression":
         """Return the same comparison for a constraint that does not flap about its threshold.
@@ -375,7 +322,7 @@ class Expression:
         return f"{self.attribute} {self.operator} {exact(self.value)}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Constraint:
     """An expression; while it is violated, the constrained elements are unfeasible.
 
@@ -393,7 +340,7 @@ class Constraint:
         return f"{self.attribute} {self.operator} {exact(self.value)}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Estimation:
     """What choosing a design, component or configuration is expected to do to an attribute."""
 
@@ -411,7 +358,7 @@ class Estimation:
         return -self.value if self.kind is EstimationKind.NEGATIVE else self.value
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Element:
     """Something with a name in a model."""
 
@@ -427,14 +374,14 @@ def _element_of(model: Any, cls: type, name: str) -> Any:  # noqa: ANN401  # a m
     return model.tables[cls][name]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Constrainable(Element):
     def constrain(self, *expressions: Expression) -> tuple[Constraint, ...]:
         """Add one constraint per expression to this element, or none if one of them is refused."""
         return self.model.constrain_all([self], expressions)  # type: ignore[list-item]  # a subclass is one of the four
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Estimable(_Constrainable):
     def estimate(
         self, attribute: "Attribute | str", value: float, kind: EstimationKind | str = "positive"
@@ -450,7 +397,7 @@ class _Estimable(_Constrainable):
         self.model.state(Estimation, stated)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Attribute(Element):
     """Something that is measured; comparing it with a number gives an expression.
 
@@ -478,7 +425,7 @@ class Attribute(Element):
     unit: Annotated[str, _TEXT] = ""
     low: Annotated[float, _BOUND] = -math.inf
     high: Annotated[float, _BOUND] = math.inf
-    forecasting: Annotated[str, _FORECASTING] = ""
+    forecasting: Annotated[Forecasting, _one_of("forecast", Forecasting)] = Forecasting.NONE
     rates: Annotated[tuple[Rate, ...], _RATES] = ()
 
     def __post_init__(self) -> None:
@@ -491,23 +438,17 @@ class Attribute(Element):
         """State how this attribute is forecast where no rate applies: "constant" or "trend"."""
         self.model.change(self, forecasting=by)
 
-    def changes(
-        self, rate: float, *, per: str = "s", while_: "Action | str" = "", learns: bool = False
-    ) -> None:
-        """State how fast this attribute changes [its unit per "s", "min" or "h"].
+    def changes(self, rate: float, *, while_: "Action | str" = "", learns: bool = False) -> None:
+        """State how fast this attribute changes [its unit / s].
 
         It holds always, or while an action is done. There is one rate for each action; rates that
         apply at the same time add up. A rate that learns is replaced by the rate that is measured
         while its action alone is done.
         """
-        if per not in _PER:
-            raise UnknownName("time in which an attribute changes", per, _PER)
         name = while_.name if isinstance(while_, Action) else while_
         if name and name not in self.model.actions:
             raise UnknownName("action", name, self.model.actions)
-        self.model.change(
-            self, rates=(*self.rates, Rate(finite_number(rate) / _PER[per], name, learns))
-        )
+        self.model.change(self, rates=(*self.rates, Rate(finite_number(rate), name, learns)))
 
     def checked(self, value: object) -> float:
         """Return a value of this attribute as a float.
@@ -543,7 +484,7 @@ class Attribute(Element):
         return Expression(self.name, "<", finite_number(value), self.model)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Configuration(_Estimable):
     """One set of values for the parameters of a component."""
 
@@ -552,7 +493,7 @@ class Configuration(_Estimable):
     priority: Annotated[float | None, _PRIORITY] = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Component(_Estimable):
     """A hardware or software part of the robot.
 
@@ -588,7 +529,7 @@ class Component(_Estimable):
         return self.model.state(Configuration, {**stated, "priority": priority}, constraints)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class FunctionDesign(_Estimable):
     """One way to realise a function: the components that together do it."""
 
@@ -597,7 +538,7 @@ class FunctionDesign(_Estimable):
     priority: Annotated[float | None, _PRIORITY] = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Function(Element):
     """Something the robot can do as a means, e.g. localise; realised by one of its designs."""
 
@@ -619,7 +560,7 @@ class Function(Element):
         return self.model.state(FunctionDesign, stated, constraints)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Action(_Constrainable):
     """Something a mission does, and the functions it needs for that.
 
@@ -718,7 +659,7 @@ def exact(value: float) -> str:
 # ---------------------------------------------------------------- facts from the start
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class MeasurementFact:
     """An attribute had a value, in its unit; one that is not the latest goes to the history only.
 
@@ -731,7 +672,7 @@ class MeasurementFact:
     latest: Annotated[bool, _FLAG] = True
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class StatusFact:
     """A status is asserted, in place of the inferred one."""
 
@@ -739,28 +680,28 @@ class StatusFact:
     status: Status
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class RequiredFact:
     """An element is asserted to be required."""
 
     element: Action | Function | Component
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class SelectedFact:
     """A design or configuration is the one chosen."""
 
     element: FunctionDesign | Configuration
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ActiveFact:
     """A component is running."""
 
     component: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class RequiredActionFact:
     """An action was requested, with the weight of each attribute to favour.
 
@@ -775,28 +716,6 @@ class RequiredActionFact:
     result: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class ProcessFact:
-    """A component ran, or runs, as a process; times as in `RequiredActionFact`."""
-
-    component: str
-    pid: Annotated[int, _PID]
-    start: Annotated[float | None, _TIME] = None
-    end: Annotated[float | None, _TIME] = None
-
-
-@dataclass(frozen=True, slots=True)
-class PlanFact:
-    """A reconfiguration plan was made; times as in `RequiredActionFact`."""
-
-    activate: tuple[str, ...] = ()
-    deactivate: tuple[str, ...] = ()
-    parameters: tuple[str, ...] = ()
-    start: Annotated[float | None, _TIME] = None
-    end: Annotated[float | None, _TIME] = None
-    result: str | None = None
-
-
 ROSA: Final[Mapping[type, str]] = {
     **KINDS,
     Configuration: "component configuration",
@@ -806,8 +725,6 @@ ROSA: Final[Mapping[type, str]] = {
     SelectedFact: "selection",
     ActiveFact: "activity",
     RequiredActionFact: "required action",
-    ProcessFact: "component process",
-    PlanFact: "reconfiguration plan",
 }
 """What each class of element and fact is called, each after those that it refers to."""
 
@@ -821,23 +738,14 @@ CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {
 }
 """How the fields of each class are checked, except fields that name elements."""
 
-Fact = (
-    MeasurementFact
-    | StatusFact
-    | RequiredFact
-    | SelectedFact
-    | ActiveFact
-    | RequiredActionFact
-    | ProcessFact
-    | PlanFact
-)
+Fact = MeasurementFact | StatusFact | RequiredFact | SelectedFact | ActiveFact | RequiredActionFact
 
 
 class Amended(NamedTuple):
     """One change of a model.
 
     Attributes:
-        how: "declared", "changed" or "removed".
+        how: "declared" or "changed".
         elements: what was.
         put: makes the change, once or again.
         written: what `Model.amend` takes to make it in an equal model, as values for JSON.

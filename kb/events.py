@@ -9,8 +9,7 @@ from enum import StrEnum
 from threading import Condition, Lock
 from typing import Any, Final, NamedTuple, Self
 
-from kb.exceptions import InvalidValue
-from kb.records import Log, ReconfigurationPlan, plain
+from kb.records import Log, ReconfigurationPlan
 from kb.status import Status
 
 
@@ -25,13 +24,10 @@ class EventKind(StrEnum):
 
 RECORDS: Final = frozenset(
     {
-        "component_started",
-        "component_ended",
         "finish_plan",
         "record_attempt",
         "finish_attempt",
         "record_answer",
-        "progress",
         "store",
     }
 )
@@ -42,8 +38,6 @@ _WORDS: Final[Mapping[str, str | tuple[str, str]]] = {
     "component_failed": "{0} has failed{reason}",
     "component_recovered": "{0} is recovered",
     "component_active": ("{0} is inactive{reason}", "{0} is active"),
-    "component_started": "{0} runs as process {1}",
-    "component_ended": ("{0} no longer runs as process", "{0} no longer runs as process {1}"),
     "request_action": "{0} is requested",
     "cancel_action": "{0} is {1}{because}",
     "assert_required": ("{0} is no longer asserted required", "{0} is asserted required"),
@@ -51,7 +45,6 @@ _WORDS: Final[Mapping[str, str | tuple[str, str]]] = {
     "finish_plan": "plan {0} is {1}",
     "finish_attempt": "attempt {0} is {1}{reason}",
     "record_answer": ("plan {0} may be executed{reason}", "plan {0} is vetoed{reason}"),
-    "progress": ("{1} begins anew", "progress of {1} saved"),
     "store": "{0}",
     "begin": "begins with what the model states",
 }
@@ -75,8 +68,7 @@ class Event(NamedTuple):
         time: when [s].
         verb: name of the method of `KnowledgeBase` that records it again, e.g. "measure"; "stale",
             "dwell" and "lapse" are what time does, "begin" is what the model states, "amend" a
-            change of the model, "store" how the store is, "progress" where an action of a task
-            layer is.
+            change of the model, "store" how the store is,
         arguments: of the method, all of them, as plain values: names, numbers, texts. An element is
             (kind, name), a constraint (kind, name, position) by what it constrains, a plan or
             attempt its number.
@@ -134,7 +126,7 @@ class Event(NamedTuple):
         if words is None:
             return f"{self.verb.replace('_', ' ')}: {', '.join(map(str, arguments))}"
         if isinstance(words, tuple):
-            words = words[bool(arguments[2 if self.verb == "progress" else 1])]
+            words = words[bool(arguments[1])]
         last = arguments[-1] if arguments else ""
         return words.format(
             self.subject or (arguments and arguments[0]),
@@ -145,22 +137,12 @@ class Event(NamedTuple):
 
     def to_json(self) -> dict[str, Any]:
         """Return it as values that JSON can hold; `from_json` is the way back, but for the plan."""
-        values = {
-            "number": self.number,
-            "time": self.time,
-            "verb": self.verb,
-            "arguments": plain(self.arguments),
-        }
-        optional = {
-            "changes": [list(map(str, change)) for change in self.changes],  # there can be many
-            "cause": self.cause,
-            "effects": [list(effect) for effect in self.effects],
-            "words": self.words,
-        }
-        for name, value in optional.items():
-            if value not in ([], None, ""):
-                values[name] = value
-        return values
+        values = self._asdict()
+        del values["plan"]
+        values["arguments"] = [
+            dict(value) if isinstance(value, Mapping) else value for value in self.arguments
+        ]
+        return {name: value for name, value in values.items() if value not in ((), None, "")}
 
     @classmethod
     def from_json(cls, written: Mapping[str, Any], plan: ReconfigurationPlan | None = None) -> Self:
@@ -176,18 +158,14 @@ class Event(NamedTuple):
             StatusChange(kind, name, Status(old), Status(new))
             for kind, name, old, new in written.get("changes", ())
         ]
-        effects = [(kind, name, bool(on)) for kind, name, on in written.get("effects", ())]
-        return cls(
-            int(written["number"]),
-            float(written["time"]),
-            str(written["verb"]),
-            tuple(arguments),
-            tuple(changes),
-            written.get("cause"),
-            tuple(effects),
-            plan,
-            str(written.get("words", "")),
-        )
+        values = {
+            **written,
+            "arguments": tuple(arguments),
+            "changes": tuple(changes),
+            "effects": tuple(map(tuple, written.get("effects", ()))),
+            "plan": plan,
+        }
+        return cls(**values)
 
 
 class _Subscriber:
@@ -214,10 +192,6 @@ class Publisher:
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
         """Call a function with every event from now on; returns how to stop that."""
-        if not callable(callback):
-            raise InvalidValue(
-                f"a subscriber is called with each event; {callback!r} cannot be called"
-            )
         subscriber = _Subscriber(callback, self._log.last)
         self.subscribers.append(subscriber)
 

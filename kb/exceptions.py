@@ -6,10 +6,6 @@ Each message says what was given, what exists and what to do.
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-_MANY = 5000
-"""With more names than this, an unknown name is compared only with those that begin with the same
-letters."""
-
 
 class KnowledgeBaseError(Exception):
     """Base of every error that this package raises on purpose."""
@@ -54,13 +50,7 @@ class UnknownName(KnowledgeBaseError, KeyError):
 
     def __init__(self, kind: str, name: object, known: Iterable[str], is_a: str = "") -> None:
         names = list(dict.fromkeys(known))
-        begin = str(name)[:2].casefold()
-        likely = (
-            names
-            if len(names) <= _MANY
-            else [name for name in names if name.casefold().startswith(begin)]
-        )
-        near = get_close_matches(str(name), likely, n=3)
+        near = get_close_matches(str(name), names, n=3)
         if near:
             hint = f"did you mean {' or '.join(repr(match) for match in near)}?"
         elif names:

@@ -9,7 +9,7 @@ from typing import Any, Final
 from kb.elements import Component, ComponentKind, Configuration, is_number, whole
 from kb.exceptions import InvalidValue
 from kb.knowledge_base import KnowledgeBase
-from kb.managed_system import Looking, ManagedSystem, check_methods, look, words_of, wrong_answer
+from kb.managed_system import ManagedSystem, check_methods, look, words_of, wrong_answer
 from kb.network import Network, Node
 from kb.records import Attempt, ReconfigurationPlan
 from kb.state import State
@@ -85,7 +85,7 @@ class StagedExecutor:
         back_off: float = 0.5,
         hold: float = 300.0,
     ) -> None:
-        check_methods("a managed system", managed, ManagedSystem, Looking)
+        check_methods("a managed system", managed, ManagedSystem)
         whole("the number of attempts", attempts)
         for name, seconds in (("timeout", timeout), ("back_off", back_off), ("hold", hold)):
             if not is_number(seconds) or not seconds >= 0:

@@ -12,7 +12,7 @@ from kb.elements import Action, exact
 from kb.network import Node
 from kb.planning import ranked
 from kb.remedies import Conjunction, remedies
-from kb.state import NO_REASON, State
+from kb.state import State
 from kb.status import IMPOSSIBLE, OPERATORS, Status
 
 _MOST: Final = 4
@@ -181,7 +181,7 @@ class _Explainer:
             return f"it is required and not active{state.reason('active', node)}", []
         if status is Status.UNSOLVED and has_choices and not parts:
             kind = "configurations" if node.kind == "component" else "designs"
-            return f"none of its {kind} is selected{state.reason('unselected', node)}", []
+            return f"none of its {kind} is selected", []
         if status is Status.SOLVED:
             return "it is required, and all that it needs is in place", []
         if status is Status.FEASIBLE:
@@ -210,10 +210,6 @@ class _Explainer:
         age = _age(time, self._now)
         if status is None:
             return f"{attribute.name} is {shown} ({age})"
-        forecast = state.reasons.get(("forecast", attribute), NO_REASON).text
-        if time is None and forecast:
-            is_violated = status is Status.VIOLATED
-            return f"{forecast}; that makes {node.name} violated" if is_violated else forecast
         constraint = node.constraint
         bound = f"{constraint.operator} {attribute.attribute.amount(exact(constraint.value))}"
         holds = OPERATORS[constraint.operator](value, constraint.value)
@@ -265,13 +261,10 @@ def _first(texts: Iterable[str]) -> list[str]:
 # -------------------------------------------------------------------- why a plan is made
 
 
-def why_selected(
-    state: State, chosen: Sequence[Node], now: float, given: str = "", ended: Iterable[str] = ()
-) -> str:
+def why_selected(state: State, chosen: Sequence[Node], now: float, given: str = "") -> str:
     """Return, in words, why designs and configurations are about to be selected in a state.
 
-    `given` is the reason given with the selection, if any; `ended` are sentences about requests
-    that have ended.
+    `given` is the reason given with the selection, if any.
     """
     reasons = []
     for node in chosen:
@@ -295,7 +288,7 @@ def why_selected(
         if any(_stays(state, design, chosen) for design in state.users(component)):
             start = f"{text}; {component.name}" if text else f"{component.name} is not active, and"
             reasons.append(f"{start} is needed by {_needed_by(state, component)}")
-    reasons = reasons or [*ended, "what was active or selected is no longer needed"]
+    reasons = reasons or ["what was active or selected is no longer needed"]
     return "; ".join(_first(reasons) if len(reasons) > 1 else reasons)
 
 

@@ -5,16 +5,14 @@ And places in them, for messages.
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from secrets import token_hex
 from typing import Final, NamedTuple
 
-from kb.exceptions import DuplicateName, KnowledgeBaseError, ModelError, UnknownName
+from kb.exceptions import KnowledgeBaseError, ModelError, UnknownName
 
 SUFFIXES: Final = (".tql", ".owl")  # of the files that models can be in
-MOST: Final = 256 << 20  # the largest file that is read [bytes]
-_MARK: Final = "\ufeff"  # what some editors put before everything else
 
 
 class ModelFileError(ModelError):
@@ -38,10 +36,6 @@ class ModelFileError(ModelError):
         )
 
 
-class DuplicateInFile(ModelFileError, DuplicateName):
-    """A name is given twice within one kind of element."""
-
-
 class Place(NamedTuple):
     """Where something is written."""
 
@@ -62,36 +56,25 @@ class Place(NamedTuple):
             yield
         except ModelFileError:
             raise
-        except DuplicateName as error:
-            raise DuplicateInFile(str(error), *self) from None
         except KnowledgeBaseError as error:
             raise self.error(str(error)) from None
 
 
 def read_text(file: Path) -> str:
+    """Return the text of a model's file.
+
+    Raises:
+        ModelFileError: it cannot be read.
+    """
     try:
-        if file.stat().st_size > MOST:
-            message = f"this is larger than {MOST >> 20} MB, more than any model; give it in parts"
-            raise ModelFileError(message, str(file))
-        content = file.read_bytes()
+        return file.read_text("utf-8-sig")
     except FileNotFoundError:
         beside = sorted(path.name for suffix in SUFFIXES for path in file.parent.glob(f"*{suffix}"))
-        none = "there is no such file, and no other model in that folder"
-        raise ModelFileError(
-            str(UnknownName("file", file.name, beside)) if beside else none, str(file)
-        ) from None
-    except IsADirectoryError:
-        raise ModelFileError("this is a folder; give the model file in it", str(file)) from None
+        unknown = str(UnknownName("file", file.name, beside))
+        message = unknown if beside else "there is no such file, and no other model in that folder"
     except (OSError, ValueError) as error:
-        raise ModelFileError(f"the file cannot be read: {error}", str(file)) from None
-    try:
-        return content.decode("utf-8").removeprefix(_MARK)
-    except UnicodeDecodeError as error:
-        before = content[: error.start].decode("utf-8").removeprefix(_MARK)
-        column = len(before[before.rfind("\n") + 1 :]) + 1
-        message = f"byte {content[error.start]:#04x} at offset {error.start} is not UTF-8; "
-        message += "the file may be Latin-1, Windows-1252 or UTF-16: save it as UTF-8"
-        raise ModelFileError(message, str(file), before.count("\n") + 1, column) from None
+        message = f"the file cannot be read as UTF-8: {error}"
+    raise ModelFileError(message, str(file))
 
 
 @contextmanager
@@ -125,8 +108,6 @@ def write_file(path: Path, content: bytes) -> None:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        with suppress(FileNotFoundError):
-            part.chmod(target.stat().st_mode & 0o777)
         part.replace(target)
 
 

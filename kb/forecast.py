@@ -21,7 +21,6 @@ from kb.explain import shortest, why
 from kb.network import Node
 from kb.state import State
 from kb.status import OPERATORS, Status
-from kb.views import Readable
 
 LEVEL: Final = 0.9
 """How often an interval shall contain what comes."""
@@ -334,22 +333,6 @@ def _is_violated(constraint: Constraint, forecast: Forecast, side: int = -1) -> 
     return value is not None and not OPERATORS[constraint.operator](value, constraint.value)
 
 
-def suppose_forecast(state: State, node: Node, forecast: Forecast) -> None:
-    """Enter what is forecast for an attribute in a copy of a state.
-
-    A constraint is violated if it is now, or if the worse end of the interval violates it, and
-    else stays as it is.
-    """
-    if forecast.value is None:
-        return
-    for constraint in node.constraints:
-        is_violated = _is_violated(constraint.constraint, forecast)
-        state.hold(constraint, Status.VIOLATED if is_violated else state.status[constraint])
-    state.value[node] = forecast.value
-    state.time.pop(node, None)
-    state.give_reason("forecast", node, forecast.reason)
-
-
 # -------------------------------------------------------------------- until when
 
 
@@ -380,7 +363,11 @@ class FeasibleUntil(NamedTuple):
 
 
 def feasible_until(
-    base: Readable, action: str, within: float = 300.0, *, doing: Iterable[str] | None = None
+    base: Any,  # noqa: ANN401  # a knowledge base, which imports this module
+    action: str,
+    within: float = 300.0,
+    *,
+    doing: Iterable[str] | None = None,
 ) -> FeasibleUntil:
     """Return until when an action stays feasible, looking ahead by `within` [s].
 

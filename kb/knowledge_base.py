@@ -9,30 +9,27 @@ import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from functools import wraps
 from itertools import starmap
 from math import inf, isfinite
 from operator import attrgetter
 from pathlib import Path
-from threading import Lock, RLock
+from threading import RLock
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
-from weakref import WeakSet, finalize
+from weakref import finalize
 
 from kb import elements, situations, views
 from kb.debounce import NEVER
 from kb.diagnostics import DiagnosticProblem, DiagnosticRules, record_diagnostics
 from kb.elements import (
-    Action,
     Parameters,
     finite_number,
     flag,
     status_of,
     table,
-    text,
-    whole,
 )
-from kb.elements import parameters as checked_parameters
 from kb.events import RECORDS, Event, Publisher, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
 from kb.explain import reading as reading_in_words
@@ -46,7 +43,6 @@ from kb.records import (
     Attempt,
     HistoryView,
     Log,
-    Process,
     ReconfigurationPlan,
     Records,
     Reply,
@@ -59,37 +55,11 @@ from kb.state import KEPT, Reason, State
 from kb.status import Status
 from kb.store import Store
 
-_OPERATIONS: Final = ("activate", "deactivate", "configure")
-_REENTRANT: Final = (
-    "re-entrant call during an update: a signal handler or finalizer cannot ask or record "
-    "anything in the midst of an event; do that later"
-)
 _CLOCK_SLACK_S: Final = 1.0
 """How far a clock may go back: clocks are corrected, and threads may be overtaken [s]."""
 _REPLAYABLE: Final[dict[str, Callable[..., object]]] = {}
 """The method that records an event again, by its verb."""
-_LOCKS: Final[WeakSet[Any]] = WeakSet()
-"""The locks of all bases: if another thread held one at a fork, the child could never use that
-base."""
-_held_locks: list[Any] = []
-
 MethodT = TypeVar("MethodT", bound=Callable[..., Any])
-
-
-def _hold_locks() -> None:
-    for lock in tuple(_LOCKS):
-        lock.acquire()
-        _held_locks.append(lock)
-
-
-def _release_locks() -> None:
-    while _held_locks:
-        _held_locks.pop().release()
-
-
-os.register_at_fork(
-    before=_hold_locks, after_in_parent=_release_locks, after_in_child=_release_locks
-)
 
 
 def _update(method: MethodT) -> MethodT:
@@ -106,8 +76,7 @@ def _update(method: MethodT) -> MethodT:
             if self.store is not None:
                 self.store.check_open()
             self._prepare(now)
-            with self._updating:
-                result = method(self, *args, **kwargs)
+            result = method(self, *args, **kwargs)
             last = self.log.last
         if self._publisher.subscribers or self.store is not None:
             self._publish(last)
@@ -191,26 +160,23 @@ class KnowledgeBase:
     ) -> None:
         if not isinstance(model, Model):
             raise InvalidValue(f"a knowledge base is made of a kb.Model, not of {model!r}")
-        if not callable(clock):
-            raise InvalidValue(
-                f"the clock is a function that returns the time in seconds, not {clock!r}"
-            )
-        whole("keep", keep)
         model.settle()
         self.model = model
         self._clock = clock
         self._is_timed = is_timed
         self._lock = RLock()
-        _LOCKS.add(self._lock)
-        self._updating = Lock()  # held, with the other one, while this thread records an event
+        os.register_at_fork(  # a lock that another thread holds would stay held in the child
+            before=self._lock.acquire,
+            after_in_parent=self._lock.release,
+            after_in_child=self._lock.release,
+        )
         self.store = None if store is None else Store(store, model, keep)
         self._state = State(Network(model), keep)
         self._records = Records()
         self._event: Event | None = None  # recorded, and not applied completely
-        self._amendment: elements.Amended | None = None  # the last change of the model
-        self._followed: elements.Amended | None = None  # the last one that is recorded
+        self._followed: elements.Amended | None = None  # the last change of the model
         self._revision = 0
-        self.log = Log(self._lock, self._complete)
+        self.log = Log(self.reading)
         self._now = self._read_clock()
         self._publisher = Publisher(self.log, self._lock)
         self._reading = Reading(self._lock, self._settled)
@@ -283,18 +249,12 @@ class KnowledgeBase:
 
     def _repr_html_(self) -> str:
         with self.reading() as state:
-            rows = []
-            for node in state.network.present():
-                flags = {
-                    "required": state.is_required(node),
-                    "selected": node in state.selected,
-                    "active": node in state.active,
-                }
-                words = ", ".join(flag for flag, is_so in flags.items() if is_so)
-                shown = state.status.get(node, state.value.get(node))
-                rows.append((node.kind, node.name, shown, words))
+            rows = [
+                (node.kind, node.name, state.status.get(node, state.value.get(node)))
+                for node in state.network.present()
+            ]
             title = f"{self.model.name}: {situations.outline(state)}"
-            return table(title, ("kind", "name", "status or value", "and"), rows)
+            return table(title, ("kind", "name", "status or value"), rows)
 
     @property
     def now(self) -> float:
@@ -325,8 +285,7 @@ class KnowledgeBase:
     @property
     def latest_plan(self) -> ReconfigurationPlan | None:
         """The plan that was made last."""
-        with self.reading():
-            return next(reversed(self._records.plans.values()), None)
+        return next(reversed(self.plans), None)
 
     @property
     def pending_plan(self) -> ReconfigurationPlan | None:
@@ -349,8 +308,6 @@ class KnowledgeBase:
             InvalidValue: the text is no query, or the query would change something.
             KnowledgeBaseError: the query did not end within the timeout.
         """
-        if finite_number(timeout) <= 0:
-            raise InvalidValue(f"a timeout is a time in seconds above 0, not {timeout!r}")
         return self._ontology.query(sparql, timeout)
 
     @property
@@ -380,7 +337,7 @@ class KnowledgeBase:
         if self._publisher.subscribers or self.log.witnesses:
             thresholds = [constraint.element.value for constraint in node.constraints]
             words = f"{attribute} is {reading_in_words(value, thresholds, node)}"
-        self._record("measure", (node.name, value), words=words)
+        self._record("measure", node.name, value, words=words)
 
     @_update
     def component_failed(self, component: str, reason: str = "") -> None:
@@ -388,11 +345,10 @@ class KnowledgeBase:
 
         Explanations and the store give the reason, in words.
         """
-        text("the reason of a failure", reason)
         node = self._network.components[component]
         is_news = reason not in ("", self._state.reason("failed", node).text)
         if is_news or node not in self._state.failed:
-            self._record("component_failed", (node.name, reason))
+            self._record("component_failed", node.name, str(reason))
 
     @_update
     def component_recovered(self, component: str) -> None:
@@ -400,7 +356,7 @@ class KnowledgeBase:
         node = self._network.components[component]
         state = self._state
         if node in state.failed or state.asserted.get(node) is Status.FAILURE:
-            self._record("component_recovered", (node.name,))
+            self._record("component_recovered", node.name)
 
     @_update
     def component_active(self, component: str, active: bool, reason: str = "") -> None:
@@ -409,9 +365,8 @@ class KnowledgeBase:
         If it is not, explanations give the reason, in words.
         """
         node = self._network.components[component]
-        text("the reason why a component is not active", reason)
         if (node in self._state.active) != flag("active", active, InvalidValue):
-            self._record("component_active", (node.name, active, reason))
+            self._record("component_active", node.name, active, str(reason))
 
     def receive(
         self, diagnostics: object, *, rules: DiagnosticRules | None = None
@@ -429,8 +384,7 @@ class KnowledgeBase:
             are also logged, and counted in `history.rejected`.
         """
         problems = record_diagnostics(self, diagnostics, rules)
-        with self._lock:
-            self._records.rejected += len(problems)
+        self._records.rejected += len(problems)
         return problems
 
     @_update
@@ -450,23 +404,23 @@ class KnowledgeBase:
             until: when it lapses by itself [s, by the clock of this base], later than now; None or
                 `math.inf`: never.
         """
-        text("the reason of an asserted status", reason)
         end = None if until is None or until == inf else finite_number(until)
         node = self._node(element, ELEMENTS)
-        wanted = status_of(node.kind, status)
+        wanted = str(status_of(node.kind, status))
         if end is not None and end <= self._now:
             raise InvalidValue(
                 f"a status is asserted until later than now, {self._now!r} s by the clock; "
                 f"not {until!r}"
             )
+        reason = str(reason)
         words = f"{node.name} is asserted {wanted}{Reason(reason, end)}"
-        self._record("assert_status", (node.ref, str(wanted), reason, end), words=words)
+        self._record("assert_status", node.ref, wanted, reason, end, words=words)
 
     @_update
     def retract_status(self, element: ElementLike) -> None:
         """Take back an asserted status; the inferred status holds again."""
         node = self._node(element, ELEMENTS)
-        self._record("retract_status", (node.ref,), words=f"{node.name} is no longer asserted")
+        self._record("retract_status", node.ref, words=f"{node.name} is no longer asserted")
 
     @_update
     def assert_required(self, element: ElementLike, required: bool | None) -> None:
@@ -475,20 +429,17 @@ class KnowledgeBase:
         False or None takes that back, but not an inferred requirement.
         """
         node = self._node(element, ("action", "function", "component"))
-        if required is not None:
-            flag("required", required, InvalidValue)
-        self._record("assert_required", (node.ref, required))
+        flag("required", required or False, InvalidValue)
+        self._record("assert_required", node.ref, required)
 
     @_update
     def assert_selected(
         self, element: ElementLike, selected: bool | None, reason: str = ""
     ) -> None:
         """State whether a design or configuration is selected; explanations give the reason."""
-        text("the reason why something is selected or not", reason)
         node = self._node(element, ("function design", "configuration"))
-        if selected is not None:
-            flag("selected", selected, InvalidValue)
-        self._record("assert_selected", (node.ref, selected, reason))
+        flag("selected", selected or False, InvalidValue)
+        self._record("assert_selected", node.ref, selected, str(reason))
 
     # ---------------------------------------------------------------- record actions and plans
 
@@ -520,7 +471,7 @@ class KnowledgeBase:
             return Reply(False, why(self._state, node, self._now))
         if cause is None:
             cause = self._cause_of_request()
-        self._record("request_action", (node.name, wanted), cause)
+        self._record("request_action", node.name, wanted, cause=cause)
         return Reply(True, f"{node.name} is required")
 
     @_update
@@ -540,13 +491,12 @@ class KnowledgeBase:
         """
         node = self._network.actions[action]
         check_result(result)
-        text("the reason why an action ends", reason)
         if node.name not in self._records.required:
             return
         is_unfeasible = self._state.status[node] is Status.UNFEASIBLE
         if cause is None and result != "completed" and is_unfeasible:
             cause = self._state.changed_by.get(node)
-        self._record("cancel_action", (node.name, result, reason), cause)
+        self._record("cancel_action", node.name, result, str(reason), cause=cause)
 
     @_update
     def select(
@@ -578,34 +528,24 @@ class KnowledgeBase:
         Raises:
             InvalidValue: a design or configuration is unfeasible now; nothing is selected.
         """
-        if reason != "":
-            text("the reason of a choice", reason)
         state = self._state
-        designs_chosen = _chosen(self._network.designs, self._network.functions, designs)
-        configured = _chosen(self._network.configurations, self._network.components, configurations)
-        nodes = [*designs_chosen, *configured]
+        network = state.network
+        nodes = _chosen(network.designs, network.functions, designs)
+        nodes += _chosen(network.configurations, network.components, configurations)
         for node in nodes:
             if state.status[node] is Status.UNFEASIBLE:
                 raise Unselectable(f"{node} cannot be selected: {why(state, node, self._now)}")
         if cause is None:
             cause = self._cause_of_choice(nodes)
-        words = why_selected(state, nodes, self._now, reason, self._records.end_reasons.values())
-        selection = state.decide(nodes)
-        if dry_run:
-            return selection.plan(words, self._now)
+        words = why_selected(state, nodes, self._now, reason)
         number = next(reversed(self._records.plans), 0) + 1
-        plan = selection.plan(words, self._now, cause, number)
-        effects = tuple(
-            (node.kind, node.name, node not in state.selected) for node in selection.flips
-        )
-        is_reason_new = any(
-            state.reasons.get(("selected", node), Reason()).text != reason
-            or ("unselected", node.used_by[0]) in state.reasons
-            for node in nodes
-        )
-        if plan or effects or is_reason_new:
+        flips, plan = state.decide(nodes)
+        if plan is not None:
+            plan = replace(plan, reason=words, start=self._now, cause=cause, number=number)
+        effects = tuple((node.kind, node.name, node not in state.selected) for node in flips)
+        if (plan or effects) and not dry_run:
             choice = [MappingProxyType(dict(each or {})) for each in (designs, configurations)]
-            self._record("select", (*choice, reason), cause, effects=effects, plan=plan)
+            self._record("select", *choice, str(reason), cause=cause, effects=effects, plan=plan)
         return plan
 
     @_update
@@ -619,29 +559,10 @@ class KnowledgeBase:
         record = self._plan_of(plan)
         if record.end is not None:
             return False
-        self._record("finish_plan", (record.number, result), record.cause)
+        self._record("finish_plan", record.number, result, cause=record.cause)
         return True
 
     # ---------------------------------------------------------------- record what is done
-
-    @_update
-    def component_started(self, component: str, pid: int) -> Process:
-        """Record that a process of the operating system was started for a component.
-
-        It need not be active yet.
-        """
-        name = self._network.components[component].name
-        self._record("component_started", (name, whole("a process number", pid, 0)))
-        return next(reversed(self._records.processes.values()))
-
-    @_update
-    def component_ended(self, component: str, pid: int | None = None) -> None:
-        """Record that a process of a component has ended: that of this number, else all of them."""
-        if pid is not None:
-            whole("a process number", pid, 0)
-        name = self._network.components[component].name
-        if self._records.running(name, pid):
-            self._record("component_ended", (name, pid))
 
     @_update
     def record_attempt(
@@ -663,20 +584,10 @@ class KnowledgeBase:
             parameters: the parameters to set.
             number: 1 for the first time that the plan gives this command.
         """
-        if operation not in _OPERATIONS:
-            raise InvalidValue(
-                f"{operation!r} is no operation; an operation is one of {', '.join(_OPERATIONS)}"
-            )
-        name = self._network.components[component].name
-        if configuration is not None:
-            configuration = self._network.configurations[configuration].name
-        values = parameters or {}
-        if not isinstance(values, MappingProxyType):  # those of an element are checked already
-            values = checked_parameters(name, values)
-        if number != 1:
-            whole("the number of an attempt", number)
         of = self._plan_of(plan).number
-        self._record("record_attempt", (of, name, operation, configuration, values, number))
+        name = self._network.components[component].name
+        values = MappingProxyType(dict(parameters or {}))
+        self._record("record_attempt", of, name, operation, configuration, values, number)
         return next(reversed(self._records.attempts.values()))
 
     @_update
@@ -690,17 +601,11 @@ class KnowledgeBase:
         """
         if result not in RESULTS:
             check_result(result)
-        if reason != "":
-            text("the reason why an attempt ends", reason)
         serial = attempt.serial if isinstance(attempt, Attempt) else attempt
-        if type(serial) is not int:
-            raise InvalidValue(
-                f"{attempt!r} is no attempt; give one of kb.history.attempts, or its serial number"
-            )
         record = self._records.attempts.get(serial)
         if record is None or record.end is not None:
             return False
-        self._record("finish_attempt", (serial, result, reason))
+        self._record("finish_attempt", serial, result, str(reason))
         return True
 
     @_update
@@ -708,10 +613,8 @@ class KnowledgeBase:
         self, plan: ReconfigurationPlan | int, is_vetoed: bool, reason: str = ""
     ) -> VetoAnswer:
         """Record whether a plan was vetoed before its execution, and why."""
-        flag("is_vetoed", is_vetoed, InvalidValue)
-        text("the reason of an answer", reason)
         number = self._plan_of(plan).number
-        self._record("record_answer", (number, is_vetoed, reason))
+        self._record("record_answer", number, bool(is_vetoed), str(reason))
         return next(reversed(self._records.answers.values()))
 
     # ---------------------------------------------------------------- the log
@@ -726,24 +629,21 @@ class KnowledgeBase:
         Raises:
             InvalidValue: the event cannot be replayed; nothing has changed.
         """
-        verb = event.verb if isinstance(event, Event) else ""
+        verb = event.verb
         if verb in ("begin", "store") or (self._is_timed and verb in ("dwell", "lapse")):
             self._catch_up_with_time()
             return
-        arguments = event.arguments if verb else ()
+        arguments = event.arguments
         if verb in ("stale", "dwell", "lapse"):
             arguments = verb, *arguments
             verb = "replay_due"
         if verb not in _REPLAYABLE:
-            verbs = ", ".join(sorted(_REPLAYABLE))
-            raise InvalidValue(
-                f"{event!r} cannot be replayed; an event that can has one of the verbs {verbs}"
-            )
+            raise InvalidValue(f"{event!r} cannot be replayed")
         is_caused = verb in ("request_action", "cancel_action", "select")
         keywords = {"cause": event.cause} if is_caused else {}
         try:
             _REPLAYABLE[verb](self, *arguments, **keywords)
-        except (AttributeError, LookupError, TypeError) as error:
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
             if isinstance(error, KnowledgeBaseError):
                 raise
             raise InvalidValue(f"{verb} cannot be replayed with {arguments!r}: {error}") from None
@@ -752,12 +652,6 @@ class KnowledgeBase:
         self.model.amend(how, written)
 
     _REPLAYABLE["amend"] = _amend
-
-    @_update
-    def _progress(self, action: str, behaviour: str, saved: str) -> None:
-        before = self._records.progress.get((action, behaviour), "")
-        if before != text("what is saved", saved):
-            self._record("progress", (action, behaviour, saved))
 
     @_update
     def _replay_due(self, verb: str, element: Any, *_: object) -> None:  # noqa: ANN401  # a name or reference
@@ -802,18 +696,13 @@ class KnowledgeBase:
     def _record(
         self,
         verb: str,
-        arguments: tuple[Any, ...],
-        cause: int | None = None,
-        *,
-        effects: tuple[tuple[str, str, bool], ...] = (),
-        plan: ReconfigurationPlan | None = None,
-        words: str = "",
+        *arguments: object,
         time: float | None = None,
+        **details: Any,  # noqa: ANN401  # other fields of an event
     ) -> None:
         """Record an event, which has been decided, and apply it."""
         at = self._now if time is None else time
-        number = self.log.last + 1
-        self._event = Event(number, at, verb, arguments, (), cause, effects, plan, words)
+        self._event = Event(self.log.last + 1, at, verb, arguments, **details)
         self._complete_event()  # from here on it is in
 
     def _complete_event(self) -> None:
@@ -837,9 +726,8 @@ class KnowledgeBase:
         if event.verb == "finish_attempt" and event.arguments[1] == "completed":
             attempt = self._records.attempts[event.arguments[0]]
             if attempt.operation == "configure":
-                component = state.network.components.get(attempt.component)
-                if component is not None:
-                    state.parameters[component] = attempt.parameters
+                component = state.network.components[attempt.component]
+                state.parameters[component] = attempt.parameters
         state.before = {}
         self._event = None
         for witness in self.log.witnesses if is_new else ():
@@ -852,7 +740,7 @@ class KnowledgeBase:
         is_cause = not (is_switched and self._records.open_plans)  # else a plan has switched it
         changes = []
         changed = [node for node, old in state.before.items() if state.status[node] is not old]
-        for node in sorted(changed, key=attrgetter("level", "index")):
+        for node in sorted(changed, key=attrgetter("index")):
             change = StatusChange(node.kind, node.name, state.before[node], state.status[node])
             changes.append(change)
             if is_cause:
@@ -872,32 +760,22 @@ class KnowledgeBase:
             self.model.settle()
         last = self.log.time  # before the clock: another thread may record something meanwhile
         now = self._clock()
-        if type(now) is float and last <= now < inf:
-            return now
-        try:
-            shown = finite_number(now)
-        except InvalidValue as error:
+        is_time = isinstance(now, int | float) and isfinite(now)
+        if not is_time or now < last - _CLOCK_SLACK_S:
             raise InvalidValue(
-                f"the clock gives {now!r} for the time in seconds: {error}; nothing was recorded"
-            ) from None
-        if shown < last - _CLOCK_SLACK_S:
-            raise InvalidValue(
-                f"the clock went back, from {last!r} s to {shown!r} s, and facts keep their order: "
-                "give the knowledge base a clock that is not set back, e.g. time.monotonic; "
+                f"the clock gives {now!r} after {last!r} s, and facts keep their order: give the "
+                "knowledge base a clock in seconds that is not set back, e.g. time.monotonic; "
                 "nothing was recorded"
             )
-        return max(shown, last)
+        return max(float(now), last)
 
     def _prepare(self, now: float) -> None:
         """Complete what was interrupted, and record what time has caused until now [s]."""
-        if self._updating.locked():
-            raise KnowledgeBaseError(_REENTRANT)
-        self._settled()
+        self._complete_event()
         self._now = now = max(now, self.log.time)
         if self._is_timed and now >= self._state.next_due:
-            with self._updating:
-                while (due := self._state.due(now)) is not None:
-                    self._record_due(*due)
+            while (due := self._state.due(now)) is not None:
+                self._record_due(*due)
 
     def _record_due(self, time: float, what: str, node: Node) -> None:
         """Record what time causes, at the instant at which it is due."""
@@ -905,37 +783,25 @@ class KnowledgeBase:
         state = self._state
         if what == "stale":
             words = f"{node.name} {staleness(state.time.get(node), node, time)}"
-            self._record(what, (node.name,), words=words, time=time)
+            self._record(what, node.name, words=words, time=time)
         elif what == "dwell":
             words = f"{node.name} is {state.judged(node, time)[0].status}, after its dwell"
-            self._record(what, (node.ref,), words=words, time=time)
+            self._record(what, node.ref, words=words, time=time)
         else:
             status = str(state.asserted.get(node))
             words = f"{node.name} is no longer asserted {status}: its time is over"
-            self._record(what, (node.ref, status), words=words, time=time)
+            self._record(what, node.ref, status, words=words, time=time)
 
     def _catch_up_with_time(self) -> None:
-        """Record what time has caused until now, unless this thread is just recording a fact."""
+        """Record what time has caused until now."""
         now = self._read_clock()
         with self._lock:
-            if self._event is not None or not self._updating.locked():
-                self._prepare(now)
+            self._prepare(now)
         self._publish()
-
-    def _complete(self) -> None:
-        """Complete a change of the model, or an event, that was interrupted."""
-        if self.model.pending is not None:
-            self.model.settle()
-        with self._lock:
-            self._settled()
 
     def _settled(self) -> State:
         """Return the state, after an interrupted event is completed."""
-        if self._event is not None:
-            if self._updating.locked():
-                raise KnowledgeBaseError(_REENTRANT)
-            with self._updating:
-                self._complete_event()
+        self._complete_event()
         return self._state
 
     def _publish(self, last: int = 0) -> None:
@@ -951,11 +817,15 @@ class KnowledgeBase:
         """Begin with what the model states."""
         state = self._state
         network = state.network
+
+        def time_of(fact: elements.MeasurementFact) -> tuple[bool, float]:
+            return fact.latest, now if fact.time is None else fact.time
+
         measured = [fact for fact in stated if isinstance(fact, elements.MeasurementFact)]
-        measured.sort(key=lambda fact: (fact.latest, now if fact.time is None else fact.time))
+        measured.sort(key=time_of)
         for number, measurement in enumerate(measured, start=-len(measured)):
             node = network.attributes[measurement.attribute]
-            time = now if measurement.time is None else measurement.time
+            _, time = time_of(measurement)
             enter = state.set_measurement if measurement.latest else state.remember
             enter(node, measurement.value, time, number)
         for number, fact in enumerate(stated, start=1):
@@ -968,7 +838,7 @@ class KnowledgeBase:
                     state.set_flag("selected", network.find(element), True)
                 case elements.ActiveFact(component):
                     state.set_flag("active", network.components[component], True)
-                case elements.RequiredActionFact() | elements.PlanFact() | elements.ProcessFact():
+                case elements.RequiredActionFact():
                     self._records.begin(fact, -number, now)
         for name in self._records.required:
             state.set_flag("requested", network.actions[name], True)
@@ -980,31 +850,20 @@ class KnowledgeBase:
     def _record_amendment(self, change: elements.Amended) -> None:
         """Record a change of the model, unless it is recorded already."""
         with self._lock:
-            if self._updating.locked():
-                raise KnowledgeBaseError(_REENTRANT)
-            self._settled()
-            with self._updating:
-                if change is not self._followed:
-                    change.put()  # no fact is recorded meanwhile: each is of one model
-                    self._follow(change)
-
-    def _follow(self, change: elements.Amended) -> None:
-        for element in change.elements if change.how == "removed" else ():
-            if isinstance(element, Action) and element.name in self._records.required:
-                reason = "it is no longer in the model"
-                self._record("cancel_action", (element.name, "abandoned", reason))
-        self._amendment = change
-        names = [str(getattr(element, "name", element)) for element in change.elements]
-        words = f"{', '.join(names)} {change.how} in the model"
-        self._record("amend", (change.how, change.written), words=words)
+            self._complete_event()
+            if change is self._followed:
+                return
+            change.put()  # no fact is recorded meanwhile: each is of one model
+            names = [str(getattr(element, "name", element)) for element in change.elements]
+            words = f"{', '.join(names)} {change.how} in the model"
+            self._record("amend", change.how, change.written, words=words)
 
     def _renew(self) -> None:
-        """Follow the model as it is now; it can be repeated."""
-        assert self._amendment is not None  # an amendment is noted before it is recorded
-        self._followed = self._amendment
-        is_removed = self._amendment.how == "removed"
-        changed = () if is_removed else self._amendment.elements
-        self._state = self._state.moved(Network(self.model), changed, self._now)
+        """Follow the change of the model that is under way; it can be repeated."""
+        change = self.model.pending
+        if change is not None:
+            self._followed = change
+            self._state = self._state.moved(Network(self.model), change.elements, self._now)
 
     # ---------------------------------------------------------------- causes
 
@@ -1054,56 +913,41 @@ class KnowledgeBase:
             self._complete_event()
         self.log.resume(store.saved)
         for number in list(self._records.open_plans):  # an earlier program left them
-            self._record("finish_plan", (number, "abandoned"))
-        for attempt in list(self._records.attempts.values()):
-            if attempt.end is None:
-                arguments = (attempt.serial, "abandoned", "its result is not known")
-                self._record("finish_attempt", arguments)
+            self._record("finish_plan", number, "abandoned")
         self.log.time = -inf  # the clock may have started again at 0
         store.left = tuple(self._records.required)
 
     def _record_store_message(self, words: str) -> None:
         """Record how the store is."""
-        with self._lock, self._updating:
-            self._record("store", (words,))
+        with self._lock:
+            self._record("store", words)
         self._publish()
 
-    def _plan_of(self, plan: object) -> ReconfigurationPlan:
+    def _plan_of(self, plan: ReconfigurationPlan | int) -> ReconfigurationPlan:
         """Return a plan of this base, given by itself or by its number."""
-        number = plan.number if isinstance(plan, ReconfigurationPlan) else plan
         plans = self._records.plans
-        own = plans.get(number) if type(number) is int else None
-        if own is not None and plan in (own, number):
-            return own
-        numbers = f"{min(plans)} to {max(plans)}" if plans else "none yet"
-        raise InvalidValue(
-            f"{plan!r} is not a plan of this knowledge base; give one of kb.plans "
-            f"(numbers: {numbers})"
-        )
+        number = plan.number if isinstance(plan, ReconfigurationPlan) else plan
+        own = plans.get(number)
+        if own is None or plan not in (own, number):
+            raise InvalidValue(
+                f"{plan!r} is not a plan of this knowledge base; give one of kb.plans"
+            )
+        return own
 
     def _node(self, element: ElementLike, kinds: Iterable[str]) -> Node:
-        return resolve(self, self._state, element, kinds, unique=True)
+        return resolve(self._state, element, kinds, unique=True)
 
 
 def _chosen(
     parts: Mapping[str, Node], owners: Mapping[str, Node], choice: Mapping[str, str] | None
 ) -> list[Node]:
-    """Return the chosen nodes from a mapping of owner to choice, by name.
-
-    Each choice must be a part of its owner.
-    """
-    if choice is not None and not isinstance(choice, Mapping):
-        raise InvalidValue(
-            f"what is selected is given as choice by name of what it is for, not as {choice!r}"
-        )
+    """Return the nodes of a choice by owner; each has to be a part of its owner."""
     nodes = []
     for owner_name, name in (choice or {}).items():
         node = parts[name]
         owner = owners[owner_name]
-        if node.used_by[0] is not owner:
-            raise InvalidValue(
-                f"{node.kind} {node.name!r} is of {node.used_by[0].name!r}, not of {owner.name!r}"
-            )
+        if node not in owner.requires:
+            raise InvalidValue(f"{node} is of {node.used_by[0].name!r}, not of {owner.name!r}")
         nodes.append(node)
     return nodes
 

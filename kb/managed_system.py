@@ -1,20 +1,12 @@
 """The managed system: what the manager commands, and how its answers are read."""
 
-from contextlib import suppress
-from inspect import (
-    isasyncgenfunction,
-    iscoroutine,
-    iscoroutinefunction,
-    isgeneratorfunction,
-    signature,
-)
-from typing import Final, Protocol
+from inspect import signature
+from typing import Protocol
 
 from kb.elements import ComponentKind, Parameters
-from kb.exceptions import ProtocolError, UnknownName
+from kb.exceptions import ProtocolError
 from kb.knowledge_base import KnowledgeBase
-
-_LATE: Final = (iscoroutinefunction, isasyncgenfunction, isgeneratorfunction)
+from kb.state import in_order
 
 
 class Operation(Protocol):
@@ -49,22 +41,18 @@ class ManagedSystem(Protocol):
         """Set the parameters of a component; a stopped one keeps them until it is activated."""
 
 
-def is_active(managed: ManagedSystem, component: str) -> bool | None:
-    """Return whether a component runs; None if the managed system does not know."""
-    answer = getattr(managed, "is_active", lambda _: None)(component)
-    if answer is None or isinstance(answer, bool):
-        return answer
-    raise wrong_answer(f"is_active({component!r})", managed, answer, "True, False or None")
-
-
 def look(managed: ManagedSystem, component: str) -> tuple[bool | None, str]:
-    """Return what `is_active` returns, and "", or None and the error that it raised, in words."""
+    """Return whether a component runs, and "".
+
+    Return None if the managed system does not know, and its error in words if it raised one.
+    """
     try:
-        return is_active(managed, component), ""
-    except ProtocolError:
-        raise
+        answer = getattr(managed, "is_active", lambda _: None)(component)
     except Exception as error:
         return None, words_of(error)
+    if answer is None or isinstance(answer, bool):
+        return answer, ""
+    raise wrong_answer(f"is_active({component!r})", managed, answer, "True, False or None")
 
 
 def words_of(error: BaseException) -> str:
@@ -73,38 +61,20 @@ def words_of(error: BaseException) -> str:
 
 def wrong_answer(call: str, stage: object, answer: object, expected: str) -> ProtocolError:
     """Return the error for a value that a protocol does not allow."""
-    if iscoroutine(answer):
-        answer.close()
     return ProtocolError(
         f"{call} of {type(stage).__name__} returned {answer!r:.80}; it is to return {expected}"
     )
 
 
-class Looking(Protocol):
-    """What a managed system has if it knows which components run."""
-
-    def is_active(self, component: str, /) -> bool | None:
-        """Return at once whether a component runs; None if that is not known."""
-
-
-def check_methods(role: str, stage: object, protocol: type, optional: type | None = None) -> None:
+def check_methods(role: str, stage: object, protocol: type) -> None:
     """Raise `ProtocolError` unless an object has the methods of a protocol.
 
     Args:
         role: of the object, in words, such as "a planner".
         stage: the object.
         protocol: the class whose public methods the object must have.
-        optional: the class whose public methods are checked if the object has them.
     """
-    owner = type(stage).__name__
-    if isinstance(stage, type):
-        name = stage.__name__
-        raise ProtocolError(f"{role} is an object; {name} is a class: write {name}(...)")
-    functions = dict(vars(protocol))
-    for name, function in vars(optional).items() if optional else ():
-        if hasattr(stage, name):
-            functions[name] = function
-    for name, function in functions.items():
+    for name, function in vars(protocol).items():
         if name.startswith("_"):
             continue
         parameters = list(signature(function).parameters)[1:]
@@ -112,17 +82,10 @@ def check_methods(role: str, stage: object, protocol: type, optional: type | Non
         call = f"{name}({', '.join(parameters)})"
         if not callable(method):
             raise ProtocolError(f"{role} has a method {call}; {stage!r:.80} has none")
-        if any(is_late(method) for is_late in _LATE):
-            raise ProtocolError(
-                f"{call} of {owner} is async or a generator; {role} answers at once"
-            )
-        with suppress(ValueError):  # a method in C may have no signature
-            try:
-                signature(method).bind(*parameters)
-            except TypeError as error:
-                raise ProtocolError(
-                    f"{role} is called as {call}; {owner}.{name}: {error}"
-                ) from None
+        try:
+            signature(method).bind(*parameters)
+        except TypeError as error:
+            raise ProtocolError(f"{role} is called as {call}; {stage!r:.80}: {error}") from None
 
 
 class ActivityMonitor:
@@ -136,22 +99,22 @@ class ActivityMonitor:
 
     def __init__(self, managed: ManagedSystem) -> None:
         self._managed = managed
-        self._unmanaged: set[str] = set()
-        self._expected: dict[str, bool] = {}
-        self._revision = -1
+        self._is_first = True
 
     def observe(self, kb: KnowledgeBase) -> None:
         """Record which components run against expectation; see `Monitor`."""
         if kb.pending_plan is not None:
             return
-        is_first = self._revision < 0
-        revision = kb.revision
-        if revision != self._revision:
-            self._expected = _expected_activity(kb)
-            self._revision = revision
-        for name, is_expected in self._expected.items():
-            is_running = self._look(name)
-            if is_running is None or is_running is is_expected:
+        with kb.reading() as state:
+            nodes = [*in_order(state.active), *in_order(state.failed - state.active)]
+            is_expected = {
+                node.name: node in state.active
+                for node in nodes
+                if node.element.kind is not ComponentKind.PLAIN
+            }
+        for name in is_expected:
+            is_running, _ = look(self._managed, name)
+            if is_running in (None, is_expected[name]):
                 continue
             if is_running:
                 kb.component_active(name, True)
@@ -159,36 +122,9 @@ class ActivityMonitor:
             reason = f"{name} is not running, though nobody has stopped it"
             was_started = _was_started(kb, name)
             kb.component_active(name, False, reason)
-            if was_started and not is_first:
+            if was_started and not self._is_first:
                 kb.component_failed(name, reason)
-
-    def _look(self, name: str) -> bool | None:
-        if name in self._unmanaged:
-            return None
-        try:
-            return is_active(self._managed, name)
-        except ProtocolError:
-            raise
-        except UnknownName:  # another system manages it
-            self._unmanaged.add(name)
-        except Exception:  # not known at this moment
-            return None
-        return None
-
-
-def _expected_activity(kb: KnowledgeBase) -> dict[str, bool]:
-    """Return whether each active and each failed component is expected to run, by name."""
-    active = {}
-    failed = {}
-    with kb.reading() as state:
-        for name, node in state.network.components.items():
-            if node.element.kind is ComponentKind.PLAIN:
-                continue
-            if node in state.active:
-                active[name] = True
-            elif node in state.failed:
-                failed[name] = False
-    return {**active, **failed}
+        self._is_first = False
 
 
 def _was_started(kb: KnowledgeBase, component: str) -> bool:

@@ -4,26 +4,21 @@ The knowledge base does the analysis by itself, by inference. The other stages a
 a manager that is given another monitor, planner or executor works with it in the same way.
 """
 
-import logging
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from typing import Any, Protocol
 
-from kb.exceptions import InvalidValue, ProtocolError, UnknownName, Unselectable
+from kb.exceptions import UnknownName, Unselectable
 from kb.execution import StagedExecutor
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import (
     ActivityMonitor,
-    Looking,
     ManagedSystem,
     check_methods,
     words_of,
     wrong_answer,
 )
-from kb.planning import Choice, PriorityPlanner
+from kb.planning import PriorityPlanner
 from kb.records import ReconfigurationPlan
-
-_log = logging.getLogger(__name__)
 
 
 class Monitor(Protocol):
@@ -44,13 +39,6 @@ class Planner(Protocol):
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
         """Choose, and return the result of `kb.select`, or None; does not wait."""
-
-
-class Choosing(Protocol):
-    """What a planner has for dry runs."""
-
-    def choose(self, kb: KnowledgeBase) -> Choice | None:
-        """Return the choice that `plan` would select, or None; changes nothing."""
 
 
 class Executor(Protocol):
@@ -94,12 +82,10 @@ class ConfigurationManager:
         monitors: Iterable[Monitor] = (),
         veto: Veto | None = None,
     ) -> None:
-        if not isinstance(kb, KnowledgeBase):
-            raise ProtocolError(f"a manager works on a kb.KnowledgeBase, not on {kb!r:.80}")
         self._kb = kb
         self._planner = PriorityPlanner() if planner is None else planner
-        check_methods("a planner", self._planner, Planner, Choosing)
-        check_methods("a managed system", managed, ManagedSystem, Looking)
+        check_methods("a planner", self._planner, Planner)
+        check_methods("a managed system", managed, ManagedSystem)
         self._executor = StagedExecutor(managed) if executor is None else executor
         check_methods("an executor", self._executor, Executor)
         self._monitors = list(monitors)
@@ -110,26 +96,16 @@ class ConfigurationManager:
             self._monitors.append(ActivityMonitor(managed))
         for monitor in self._monitors:
             check_methods("a monitor", monitor, Monitor)
-        if veto is not None and not callable(veto):
-            raise InvalidValue(
-                f"a veto is a function that is called with each plan; {veto!r} cannot be called"
-            )
         self._veto = veto
         self._planned_at = -1
 
     def dry_run(self) -> ReconfigurationPlan | None:
         """Return the plan that the planner would make now, or None; nothing changes.
 
-        Raises:
-            InvalidValue: the planner has no method `choose`.
+        The planner must have a method `choose`.
         """
-        choose = getattr(self._planner, "choose", None)
-        if choose is None:
-            name = type(self._planner).__name__
-            raise InvalidValue(
-                f"{name} cannot be tried: it has no method choose(kb), which a dry run asks"
-            )
-        choice = choose(self._kb)
+        planner: Any = self._planner
+        choice = planner.choose(self._kb)
         return None if choice is None else self._kb.select(*choice, dry_run=True)
 
     def update(self) -> ReconfigurationPlan | None:
@@ -151,57 +127,46 @@ class ConfigurationManager:
         kb = self._kb
         for monitor in self._monitors:
             monitor.observe(kb)
-        self._check_veto()  # somebody else may have made a plan
+        while self._is_vetoed():  # somebody else may have made a plan
+            pass
         plan = None
         revision = kb.revision
         if revision != self._planned_at and kb.pending_plan is None:
             plan = self._planned(revision)
-            is_vetoed = self._veto is not None and self._check_veto()
-            self._planned_at = kb.revision if is_vetoed else revision
+            self._planned_at = kb.revision if self._is_vetoed() else revision
             if getattr(self._planner, "is_waiting", False):
                 self._planned_at = -1
         self._executor.execute(kb)
         return plan
 
-    def _check_veto(self) -> bool:
-        """Ask the veto about new plans, take back the forbidden ones.
-
-        Return whether there was one.
-        """
+    def _is_vetoed(self) -> bool:
+        """Ask the veto about the pending plan, if it is new; take it back if it is forbidden."""
         kb = self._kb
-        is_vetoed = False
-        while self._veto is not None:
-            plan = kb.pending_plan
-            if plan is None or any(answer.plan is plan for answer in reversed(kb.history.answers)):
-                break
-            objection = self._objection(self._veto, plan)
-            kb.record_answer(plan, is_vetoed=bool(objection), reason=objection)
-            if not objection:
-                break
-            is_vetoed = True
-            reason = f"vetoed: {objection}"
-            _log.info("%s: %s", plan, reason)
-            for event in kb.log.since(plan.cause or 0):
-                for kind, name, is_selected in event.effects if event.plan is plan else ():
-                    with suppress(UnknownName):  # it was removed from the model
-                        why_not = reason if is_selected else ""
-                        kb.assert_selected((kind, name), not is_selected, why_not)
-            kb.finish_plan(plan, "abandoned")
-        return is_vetoed
+        plan = kb.pending_plan if self._veto else None
+        if self._veto is None or plan is None:
+            return False
+        if any(answer.plan is plan for answer in reversed(kb.history.answers)):
+            return False
+        objection = self._objection(self._veto, plan)
+        kb.record_answer(plan, is_vetoed=bool(objection), reason=objection)
+        if not objection:
+            return False
+        reason = f"vetoed: {objection}"
+        for event in kb.log.since(plan.cause or 0):
+            for kind, name, is_selected in event.effects if event.plan is plan else ():
+                why_not = reason if is_selected else ""
+                kb.assert_selected((kind, name), not is_selected, why_not)
+        kb.finish_plan(plan, "abandoned")
+        return True
 
     def _objection(self, veto: Veto, plan: ReconfigurationPlan) -> str:
         try:
-            answer: object = veto(plan)
+            answer = veto(plan)
         except Exception as error:
             return words_of(error)
         if answer is None or answer is True:
             return ""
-        if answer is False or answer == "":
-            return "no reason was given"
-        if isinstance(answer, str):
-            return answer
-        allowed = "None or True to let a plan pass, else a reason"
-        return f"the veto function answered {answer!r}; it is to answer {allowed}"
+        return answer or "no reason was given"
 
     def _planned(self, revision: int) -> ReconfigurationPlan | None:
         """Call the planner; a choice that a change made impossible meanwhile is no plan."""

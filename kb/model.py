@@ -14,7 +14,6 @@ can be changed while knowledge bases use it: the next question to them sees the 
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
-from functools import partial
 from pathlib import Path
 from threading import RLock
 from types import MappingProxyType
@@ -72,7 +71,7 @@ T = TypeVar("T")
 _NAMED: Final = (Action, Function, Component, FunctionDesign, Configuration, Attribute)
 
 
-_MANY: Final = ("functions", "components", "activate", "deactivate", "parameters")
+_MANY: Final = ("functions", "components")
 """The fields that name several elements."""
 
 
@@ -193,13 +192,15 @@ class Model:
 
         One that the manager shall switch is of kind "process" or "lifecycle".
         """
-        options = {
-            "kind": kind,
-            "always_improve": always_improve,
-            "stops_to_configure": stops_to_configure,
-        }
         return self.declare(
-            Component, name, constraints, **options, package=package, executable=executable
+            Component,
+            name,
+            constraints,
+            kind=kind,
+            always_improve=always_improve,
+            stops_to_configure=stops_to_configure,
+            package=package,
+            executable=executable,
         )
 
     def function(self, name: str, *, always_improve: bool = False) -> Function:
@@ -242,13 +243,8 @@ class Model:
         """
         kind = KINDS[cls]
         identifier(kind, name)
-        checks = CHECKS[cls]
-        for field, value in stated.items():
-            if field in checks:
-                stated[field] = checks[field].check(field, name, value)
-            else:
-                stated[field] = self._referred(cls, name, field, value)
-        element = cls(name, self, **stated)
+        checked = {field: self._field(cls, name, field, value) for field, value in stated.items()}
+        element = cls(name, self, **checked)
         constrained = self._constraints((element,), constraints)  # type: ignore[arg-type]  # it can be, where there are any
         if name in self._tables[cls]:
             raise DuplicateName(
@@ -328,13 +324,11 @@ class Model:
         self._observers.append(ref(observer, self._observers.remove))
 
     @classmethod
-    def load(cls, paths: str | Path | Iterable[str | Path], name: str | None = None) -> Self:
+    def load(cls, paths: str | Path | Iterable[str | Path]) -> Self:
         """Read a model from one or several files, each of which may add to those before it.
 
         Args:
             paths: files in ROSA's TypeQL (`.tql`) or in OWL (`.owl`); all in the same format.
-            name: name of the model; by default the one in the files, else the name of the first
-                file.
 
         Raises:
             ModelError: the message gives the file, line and column, what was found there and what
@@ -348,10 +342,10 @@ class Model:
         if suffixes == {".owl"}:
             from kb.ontology import load_owl
 
-            return load_owl(cls, files, name)
+            return load_owl(cls, files)
         from kb.typeql import load_typeql
 
-        return load_typeql(cls, files, name)
+        return load_typeql(cls, files)
 
     def save(self, path: str | Path) -> None:
         """Write the model to an OWL file, whole or not at all; `load` reads back the same model."""
@@ -421,60 +415,18 @@ class Model:
                 allowed = ", ".join(checks) or "nothing"
                 raise ModelError(f"{field!r} of {kind} {name!r} cannot change; what can: {allowed}")
         values = {field: checks[field](field, name, value) for field, value in fields.items()}
-        self._amend(
-            "changed",
-            [changed],
-            partial(_set, changed, values),
-            lambda: [_reference(self, changed), _plain(self, values)],
-        )
-
-    def remove(self, element: Changeable | str) -> None:
-        """Remove an element with its constraints and the estimations that it causes.
-
-        A constraint that also applies to other elements stays on those.
-
-        Raises:
-            ModelError: other elements of the model need this one; the message names them.
-        """
-        unwanted: Changeable = self._own(
-            "what is removed", element, *_NAMED, Constraint, Estimation
-        )
-        rests: dict[Constraint, tuple[Constrainable, ...]] = {}
-        removed: list[Changeable] = [unwanted]
-        users: list[str] = []
-        for table in self._tables.values():
-            for user in table.values():
-                if isinstance(user, Constraint) and unwanted in user.constrained:
-                    rests[user] = tuple(each for each in user.constrained if each is not unwanted)
-                    if not rests[user]:
-                        removed.append(user)
-                elif isinstance(user, Estimation) and user.causer is unwanted:
-                    removed.append(user)
-                elif _refers(user, unwanted):
-                    users.append(f"{KINDS[type(user)]} {called(user)!r}")
-        if users:
-            raise ModelError(
-                f"{called(unwanted)!r} is needed by {', '.join(users)}; remove that first"
-            )
-        facts = [
-            fact for fact in self._facts if not any(_refers(fact, element) for element in removed)
-        ]
 
         def put() -> None:
-            for constraint, rest in rests.items():
-                if rest:
-                    _set(constraint, {"constrained": rest})
-            for element in removed:
-                self._tables[type(element)].pop(_key(element), None)
-            self._facts = facts
+            for field, value in values.items():
+                object.__setattr__(changed, field, value)
 
-        self._amend("removed", removed, put, lambda: _reference(self, unwanted))
+        self._amend(
+            "changed", [changed], put, lambda: [_reference(self, changed), _plain(self, values)]
+        )
 
     def amend(self, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
         """Change the model as an equal one was changed before; see `Amended`."""
-        if how == "removed":
-            self.remove(_referred(self, written))
-        elif how == "changed":
+        if how == "changed":
             reference, values = written
             self.change(_referred(self, reference), **values)
         elif written[0][0] == "constraint":
@@ -516,20 +468,22 @@ class Model:
     def _repr_html_(self) -> str:
         rows = []
         for words, values in self.plain()[1:]:
-            name = values.pop("name", None)
-            if name is not None:
+            if "name" in values:
+                name = values.pop("name")
                 stated = [f"{field.replace('_', ' ')}: {value}" for field, value in values.items()]
-                rows.append((KINDS[_CLASSES[words]], name, "; ".join(stated)))
+                rows.append((words, name, "; ".join(stated)))
         return html_table(f"model {self.name}", ("kind", "name", "what it is"), rows)
 
-    def _referred(self, cls: type, name: str, field: str, value: object) -> object:
-        """Return elements that are restored, or the names that a field holds."""
+    def _field(self, cls: type, name: str, field: str, value: object) -> Any:  # noqa: ANN401  # of any field
+        """Return what is given for a field as it is kept: elements that it names by their names."""
+        if field in CHECKS[cls]:
+            return CHECKS[cls][field].check(field, name, value)
         if field == "restores":
             what = f"what {name!r} restores"
             each = [self._own(what, item, Attribute, Component) for item in listed(what, value)]
             return tuple(dict.fromkeys(each))
         if field not in REFERENCES:
-            raise UnknownName(f"field of {KINDS[cls]}", field, CHECKS[cls])
+            raise UnknownName(f"field of {elements.ROSA[cls]}", field, CHECKS[cls])
         target = REFERENCES[field]
         if field not in _MANY:
             return self._own(KINDS[target], value, target).name
@@ -545,26 +499,30 @@ class Model:
         for field in fields(fact):
             name = field.name
             value = getattr(fact, name)
-            if name in CHECKS[type(fact)]:
-                value = CHECKS[type(fact)][name].check(name, kind, value)
-            elif name in REFERENCES:
-                value = self._referred(type(fact), kind, name, value)
-            elif name == "element":
+            if name == "element":
                 value = self._own(f"what this {kind} is about", value, *_ABOUT[type(fact)])
             elif name == "status":
                 value = status_of(KINDS[type(values["element"])], value)
             elif name == "value":
                 value = self.attributes[values["attribute"]].checked(value)
-            elif name == "result" and value is not None:
-                check_result(value)
+            elif name == "preference":
+                value = self._weights(value)
+            elif name != "result":
+                value = self._field(type(fact), kind, name, value)
             elif value is not None:
-                if not isinstance(value, Mapping):
-                    what = "a preference is given as weights by name of attribute"
-                    raise ModelError(f"{what}, not as {value!r}")
-                weights = {self.attributes[key].name: finite_number(value[key]) for key in value}
-                value = MappingProxyType(weights) if weights else None
+                check_result(value)
             values[name] = value
         return replace(fact, **values)
+
+    def _weights(self, preference: object) -> Mapping[str, float] | None:
+        """Return a preference with the weights of attributes of this model."""
+        if not preference:
+            return None
+        if not isinstance(preference, Mapping):
+            what = "a preference is given as weights by name of attribute"
+            raise ModelError(f"{what}, not as {preference!r}")
+        weights = {self.attributes[name].name: preference[name] for name in preference}
+        return MappingProxyType({name: finite_number(weights[name]) for name in weights})
 
     def _own(self, what: str, element: object, *classes: type) -> Any:  # noqa: ANN401  # of the classes
         """Return an element of this model, given by itself or by a name that only one has."""
@@ -574,12 +532,9 @@ class Model:
         if not isinstance(element, classes):
             names = ", ".join(cls.__name__ for cls in classes)
             raise ModelError(f"{what} can be one of {names}; not {element!r}")
-        if isinstance(element, Element) and element.model is not self:
-            other = element.model.name
-            raise ModelError(f"{element.name!r} belongs to model {other!r}, not to {self.name!r}")
         if self._tables[type(element)].get(_key(element)) is not element:
-            what = f"{KINDS[type(element)]} {called(element)!r}"
-            raise ModelError(f"{what} is not in model {self.name!r}, or no longer")
+            which = f"{KINDS[type(element)]} {called(element)!r}"
+            raise ModelError(f"{which} is of another model, not of {self.name!r}")
         return element
 
     def _constraints(
@@ -642,19 +597,11 @@ def _key(element: Changeable) -> object:
     return element.name if isinstance(element, Element) else element
 
 
-def _set(element: Changeable, values: Mapping[str, object]) -> None:
-    for field, value in values.items():
-        object.__setattr__(element, field, value)
-
-
 def _suffix(file: Path) -> str:
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
-        its_own = f"in {file.suffix!r}" if file.suffix else "without a suffix"
-        raise ModelFileError(
-            f"the name of a model's file ends in {' or '.join(SUFFIXES)}, this one {its_own}",
-            str(file),
-        )
+        what = f"the name of a model's file ends in {' or '.join(SUFFIXES)}"
+        raise ModelFileError(f"{what}, not in {file.suffix!r}", str(file))
     return suffix
 
 
@@ -664,20 +611,6 @@ _ABOUT: Final[Mapping[type, tuple[type, ...]]] = {
     SelectedFact: (FunctionDesign, Configuration),
 }
 """What each fact about an element can be about."""
-
-
-def _refers(described: Element | Constraint | Estimation | Fact, element: Changeable) -> bool:
-    """Return whether an element or fact holds another, or names it."""
-    checked = CHECKS.get(type(described), {})
-    for field in fields(described):
-        value = getattr(described, field.name)
-        is_preference = field.name == "preference"
-        cls: Any = Attribute if is_preference else REFERENCES.get(field.name, ())
-        held = value if isinstance(value, tuple | Mapping) else (value,)
-        is_named = isinstance(element, cls) and element.name in held
-        if field.name not in checked and (is_named or element in held):
-            return True
-    return False
 
 
 # ---------------------------------------------------------------- plain values
@@ -739,10 +672,8 @@ def _expression(row: Sequence[Any]) -> Expression:
 
 
 def differences(then: Model, now: Model) -> list[str]:
-    """Say which statements are in only one of two models: one of a store, and another."""
+    """Return the statements that are in only one of two models."""
     before = [f"{words} {values}" for words, values in then.plain()]
     after = [f"{words} {values}" for words, values in now.plain()]
-    return [
-        *(f"{row} is not in the store" for row in after if row not in before),
-        *(f"{row} is in the store only" for row in before if row not in after),
-    ] or ["the order of its elements is another"]
+    rows = [row for row in [*before, *after] if row not in before or row not in after]
+    return rows or ["another order"]

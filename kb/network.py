@@ -1,6 +1,8 @@
 """The network of a model: one node for each element, linked to those that its status needs."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import count
 from typing import Any, Final
 
 from kb.elements import (
@@ -15,79 +17,67 @@ from kb.elements import (
     Function,
     FunctionDesign,
     Owner,
-    shown,
 )
-from kb.exceptions import InvalidValue, UnknownName
+from kb.exceptions import UnknownName
 
 Ref = tuple[str, str] | tuple[str, str, int]
 """A reference to a node as plain data: (kind, name); for a constraint (kind, name, position) by an
 element it is on."""
 
 _UPWARDS: Final = (
-    "constraint",
-    "configuration",
-    "component",
-    "function design",
-    "function",
-    "action",
-    "attribute",
+    Attribute,
+    Constraint,
+    Configuration,
+    Component,
+    FunctionDesign,
+    Function,
+    Action,
 )
-LEVELS: Final = {kind: level for level, kind in enumerate(_UPWARDS)}
-"""The order in which the kinds are inferred; attributes come last because they have no status."""
+"""The classes of elements in the order in which their statuses are inferred."""
 
 
+@dataclass(slots=True, eq=False, repr=False)
 class Node:
     """An element in the network.
 
     Its status is inferred from what it requires: a component's configurations, a design's
     components, a function's designs, an action's functions, a constraint's attribute. It is used
     by the nodes that require it; a constraint by the elements that it is on.
+
+    Attributes:
+        network: the network that it is in.
+        index: the place in the order of inference, and of declaration within a kind.
+        kind: what its class of elements is called.
+        name: of the element; for a constraint its text.
+        element: the element of the model; `kind` says of which class.
+        constraints: those on this element; for an attribute those that compare it.
+        debounced: for an attribute those whose status depends on earlier measurements.
+        requires: the nodes from which its status is inferred.
+        used_by: the nodes whose status is inferred from it.
+        attribute: that of this node, or the one that this constraint compares.
+        constraint: that of this node.
     """
 
-    __slots__ = (
-        "attribute",
-        "constraint",
-        "constraints",
-        "debounced",
-        "element",
-        "index",
-        "kind",
-        "level",
-        "name",
-        "network",
-        "requires",
-        "used_by",
-    )
-
-    element: Any  # the element of the model; `kind` says of which class
-    attribute: Attribute  # that of this node, or the one that this constraint compares
-    constraint: Constraint  # that of this node
+    network: "Network"
+    index: int
+    kind: str
     name: str
-    constraints: list["Node"]  # those on this element; for an attribute those that compare it
-    debounced: list["Node"]  # for an attribute those whose status depends on earlier measurements
-    requires: list["Node"]
-    used_by: list["Node"]
+    element: Any
+    constraints: list["Node"] = field(default_factory=list)
+    debounced: list["Node"] = field(default_factory=list)
+    requires: list["Node"] = field(default_factory=list)
+    used_by: list["Node"] = field(default_factory=list)
 
-    def __init__(
-        self, network: "Network", index: int, kind: str, element: Element | Constraint
-    ) -> None:
-        self.network = network
-        self.index = index  # the order of declaration
-        self.kind = kind
-        self.name = element.name if isinstance(element, Element) else str(element)
-        self.constraints = []
-        self.debounced = []
-        self.requires = []
-        self.used_by = []
-        self.level = LEVELS[kind]
-        self.element = element
-        if isinstance(element, Constraint):
-            self.constraint = element
-        elif isinstance(element, Attribute):
-            self.attribute = element
+    attribute: Attribute = field(init=False)
+    constraint: Constraint = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.attribute = self.element
+        self.constraint = self.element
 
     @property
     def ref(self) -> Ref:
+        """What stands for it in events."""
         if self.kind != "constraint":
             return self.kind, self.name
         owner = self.used_by[0]
@@ -111,63 +101,19 @@ class Network:
 
     def __init__(self, model: Owner) -> None:
         self.model = model
-        self._tables: dict[type, ByName[Node]] = {}
-        count = 0
-        for cls, kind in KINDS.items():
-            if kind not in LEVELS:
-                continue
-            self._tables[cls] = nodes = ByName(kind, siblings=self._tables)
+        self.kinds: ByName[ByName[Node]] = ByName("kind of element")
+        numbers = count()
+        for cls in _UPWARDS:
+            kind = KINDS[cls]
+            self.kinds[kind] = nodes = ByName(kind, siblings=self.kinds)
             for key, element in model.tables[cls].items():
-                nodes[key] = Node(self, count, kind, element)
-                count += 1
-        self.attributes: Mapping[str, Node] = self._tables[Attribute]
-        self.components: Mapping[str, Node] = self._tables[Component]
-        self.configurations: Mapping[str, Node] = self._tables[Configuration]
-        self.functions: Mapping[str, Node] = self._tables[Function]
-        self.designs: Mapping[str, Node] = self._tables[FunctionDesign]
-        self.actions: Mapping[str, Node] = self._tables[Action]
-        self.constraints: Mapping[Constraint, Node] = self._tables[Constraint]
-        tables = {KINDS[cls]: table for cls, table in self._tables.items() if cls is not Constraint}
-        self.kinds: Mapping[str, Mapping[str, Node]] = ByName("kind of element", tables)
-        self._link_all()
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Network, (self.model,)
-
-    def present(self) -> Iterator[Node]:
-        """Yield the node of every element that is in the model."""
-        for table in self._tables.values():
-            yield from table.values()
-
-    def find(self, element: Element | Constraint) -> Node:
-        """Return the node of an element of this model.
-
-        UnknownName if it is not, or no longer, in the model.
-        """
-        table = self._tables[type(element)]
-        key = element.name if isinstance(element, Element) else element
-        node = table.get(key)
-        if node is None or node.element is not element:
-            raise UnknownName(KINDS[type(element)], str(key), map(str, table))
-        return node
-
-    def referred(self, ref: Ref) -> Node:
-        """Return the node that a reference stands for."""
-        match ref:
-            case str(kind), str(name):
-                return self.kinds[kind][name]
-            case str(kind), str(name), int(position):
-                constraints = self.kinds[kind][name].constraints
-                if 0 <= position < len(constraints):
-                    return constraints[position]
-                positions = map(str, range(len(constraints)))
-                raise UnknownName(f"constraint on {kind} {name!r}", position, positions)
-        raise InvalidValue(
-            f"{shown(ref)} stands for nothing; an element is (kind, name), a constraint "
-            "(kind, name, position) by what it is on"
-        )
-
-    def _link_all(self) -> None:
+                nodes[key] = Node(self, next(numbers), kind, str(key), element)
+        self.attributes = self.kinds["attribute"]
+        self.components = self.kinds["component"]
+        self.configurations = self.kinds["configuration"]
+        self.functions = self.kinds["function"]
+        self.designs = self.kinds["function design"]
+        self.actions = self.kinds["action"]
         for node in self.configurations.values():
             _link(self.components[node.element.component], node)
         for node in self.designs.values():
@@ -177,7 +123,8 @@ class Network:
         for node in self.actions.values():
             for name in dict.fromkeys(node.element.functions):
                 _link(node, self.functions[name])
-        for constraint, node in self.constraints.items():
+        for node in self.kinds["constraint"].values():
+            constraint = node.element
             attribute = self.attributes[constraint.attribute]
             node.attribute = attribute.element
             node.requires.append(attribute)
@@ -185,9 +132,35 @@ class Network:
             if constraint.hysteresis or constraint.dwell or node.attribute.agreement != (1, 1):
                 attribute.debounced.append(node)
             for element in dict.fromkeys(constraint.constrained):
-                owner = self._tables[type(element)][element.name]
+                owner = self.find(element)
                 node.used_by.append(owner)
                 owner.constraints.append(node)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Network, (self.model,)
+
+    def present(self) -> Iterator[Node]:
+        """Yield the node of every element that is in the model."""
+        for nodes in self.kinds.values():
+            yield from nodes.values()
+
+    def find(self, element: Element | Constraint) -> Node:
+        """Return the node of an element of this model.
+
+        UnknownName if it is not, or no longer, in the model.
+        """
+        nodes = self.kinds[KINDS[type(element)]]
+        key = element if isinstance(element, Constraint) else element.name
+        node = nodes.get(key)
+        if node is None or node.element is not element:
+            raise UnknownName(nodes.kind, str(key), map(str, nodes))
+        return node
+
+    def referred(self, ref: Ref) -> Node:
+        """Return the node that a reference stands for."""
+        kind, name, *position = ref
+        node = self.kinds[kind][name]
+        return node.constraints[position[0]] if position else node
 
 
 def _link(user: Node, part: Node) -> None:

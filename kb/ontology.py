@@ -12,19 +12,15 @@ are object properties.
 import json
 import math
 import re
-import shutil
 import time
 from ast import literal_eval
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import fields
 from functools import cache, partial
 from io import BytesIO
-from itertools import chain
 from pathlib import Path
 from threading import RLock
-from types import new_class
 from typing import Any, Final, NamedTuple, TypeVar
 from urllib.parse import quote
 from weakref import finalize
@@ -46,9 +42,9 @@ ROSA: Final = "http://rosa-taca/rosa#"
 BASE: Final = "http://rosa-taca/model/"
 """The prefix of individuals; the id of the model and `#` follow."""
 HISTORY: Final = 10_000
-"""The most measurements, and the most periods that have ended, that a world holds."""
+"""After so many events, a world begins anew with the newest ones."""
 RECORDS: Final = 1000
-"""The most records of each kind that a world holds."""
+"""The most events, measurements and records of each kind with which a world begins."""
 _OWL: Final = "http://www.w3.org/2002/07/owl#"
 _RDFS: Final = "http://www.w3.org/2000/01/rdf-schema#"
 _XSD: Final = "http://www.w3.org/2001/XMLSchema#"
@@ -71,11 +67,10 @@ CLASSES: Final[Mapping[type, str]] = {
     **{cls: words.title().replace(" ", "") for cls, words in elements.ROSA.items()},
     records.RequiredAction: "RequiredAction",
     records.ReconfigurationPlan: "ReconfigurationPlan",
-    records.Process: "ComponentProcess",
     records.Attempt: "Attempt",
     records.VetoAnswer: "VetoAnswer",
 }
-"""The class of individuals for each dataclass, in an order in which they can be declared."""
+"""The class of individuals for each dataclass."""
 _SUBCLASSES: Final = {
     "": "Element Relation Fact RobotModel",
     "Element": "Action Function FunctionDesign Component ComponentConfiguration Attribute",
@@ -83,8 +78,8 @@ _SUBCLASSES: Final = {
     "Component": "ProcessComponent LifecycleComponent",
     "ProcessComponent": "RosNodeComponent",
     "Relation": "Constraint Estimation Parameter Preference",
-    "Fact": "Measurement VetoAnswer Amendment Period",
-    "Period": """RequiredAction ReconfigurationPlan ComponentProcess Attempt Failure Activity
+    "Fact": "Measurement VetoAnswer Amendment Event Period",
+    "Period": """RequiredAction ReconfigurationPlan Attempt Failure Activity
         Selection AssertedStatus AssertedRequirement ParametersInForce""",
 }
 _PARENTS: Final = {word: parent for parent, words in _SUBCLASSES.items() for word in words.split()}
@@ -110,7 +105,6 @@ _TABLE: Final = """
     setsParametersOf  ComponentConfiguration* ReconfigurationPlan.parameters Attempt.configuration
     ofPlan            ReconfigurationPlan     plan
     number            whole                   Attempt.number
-    pid               whole
     alwaysImprove     flag
     stopsToConfigure  flag
     latest            flag
@@ -131,8 +125,10 @@ _TABLE: Final = """
     status            text
     key               text
     parameterValue    text
-    parameterType     text
     change            text
+    verb              text
+    subject           text
+    text              text
 """
 """Properties, what they lead to (`*`: to several), and the fields whose names differ from theirs.
 
@@ -144,8 +140,10 @@ _LISTS: Final = frozenset(name for name, target, *_ in _ROWS if target.endswith(
 _RENAMED: Final = {field: name for name, _, *names in _ROWS for field in names}
 _OMITTED: Final = ("model", "cause", "serial", "plain", "kind", "number")
 _NOTHING: Final = (None, "", math.inf, -math.inf)
+_JSON: Final = ("agreement", "rates")
 
 
+@cache
 def property_of(word: str, field: str) -> str:
     """Return the property for a field of the individuals of a class; empty if there is none."""
     first, *others = field.split("_")
@@ -153,18 +151,19 @@ def property_of(word: str, field: str) -> str:
     return _RENAMED.get(f"{word}.{field}") or _RENAMED.get(field) or same
 
 
-PROPERTIES: Final = {
-    cls: {field.name: property_of(word, field.name) for field in fields(cls)}
-    for cls, word in CLASSES.items()
-}
-"""The property of each field, by dataclass."""
-_FIELDS: Final = chain.from_iterable(own.values() for own in PROPERTIES.values())
-WORDS: Final = {*_PARENTS, *_RANGES, *_FIELDS, "position", "order"} - {""}
+def _properties(cls: type) -> dict[str, str]:
+    """Return the property of each field of a dataclass that has one."""
+    names = {field.name: property_of(CLASSES[cls], field.name) for field in fields(cls)}
+    return {field: name for field, name in names.items() if name}
+
+
+WORDS: Final = {*_PARENTS, *_RANGES, "position", "order"}
+WORDS.update(*(_properties(cls).values() for cls in CLASSES))
 
 
 def _lineage(word: str) -> list[str]:
     """Return a class and those above it."""
-    return [word, *_lineage(_PARENTS[word])] if word else []
+    return [word, *_lineage(_PARENTS.get(word, ""))] if word else []
 
 
 _SPECIAL: Final = {
@@ -184,7 +183,7 @@ def declare_words(ontology: Any) -> None:  # noqa: ANN401  # of owlready2
     namespace = ontology.get_namespace(ROSA)
 
     def declare(name: str, *bases: type) -> Any:  # noqa: ANN401  # of owlready2
-        return new_class(name, bases, {}, lambda body: body.update(namespace=namespace))
+        return type(name, bases, {"namespace": namespace})
 
     ranges: dict[str, Any] = {"": owl.Thing, "text": str, "flag": bool, "whole": int}
     with ontology:
@@ -208,34 +207,19 @@ def declare_words(ontology: Any) -> None:  # noqa: ANN401  # of owlready2
 
 def _id(word: str, name: object) -> str:
     """Return the id of an individual; different names have different ids."""
-    escaped = quote(str(name), safe="", errors="surrogatepass")
-    return f"{word}.{escaped.replace('.', '%2E').replace('~', '%7E')}"
+    return f"{word}.{quote(str(name), safe='').replace('.', '%2E')}"
 
 
 def described(element: Any, own: str, **more: object) -> Individual:  # noqa: ANN401  # a dataclass
     """Describe an element, fact or record as an individual."""
     cls = type(element)
-    stated = {field: getattr(element, field) for field in PROPERTIES[cls]}
-    word = _SPECIAL.get(str(stated.get("kind")), CLASSES[cls])
+    stated = {field: getattr(element, field) for field in _properties(cls)}
+    word = _SPECIAL.get(str(getattr(element, "kind", "")), CLASSES[cls])
     return Individual(word, own, {**stated, **more})
 
 
 class _Double(float):
     """A number that owlready2 writes as a double, and not as a decimal."""
-
-
-_UNFIT: Final = re.compile(
-    "[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]|\\\\(?=u[0-9a-f]{4})"
-)
-
-
-def _fit(text: str) -> str:
-    """Escape the characters that XML and SQLite cannot hold; `_unfit` reads them back."""
-    return _UNFIT.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
-
-
-def _unfit(text: str) -> str:
-    return re.sub(r"\\u([0-9a-f]{4})", lambda match: chr(int(match[1], 16)), text)
 
 
 class _Graph:
@@ -280,17 +264,19 @@ class _Graph:
         if before is None and word:
             for kind in _lineage(word):
                 thing.is_a.append(self.word(kind))
-            thing.label = [_fit(stated[field]) for field in ("name",) if field in stated]
+            thing.label = stated.get("name", [])
+        orders: list[str] = []
         for field, value in stated.items():
             name = property_of(word, field)
-            if name and (before is None or before.get(field) != value):
+            if name:
                 values = list(self._values(own, name, field, value))
                 self.word(name)[thing] = values[:1]
                 for another in values[1:]:  # one by one, else owlready2 lets a set decide the order
                     self.word(name)[thing].append(another)
                 if len(values) > 1:
-                    line = " ".join([name, *(part.name for part in values)])
-                    self.rosa.order[thing].append(line)
+                    orders.append(" ".join([name, *(part.name for part in values)]))
+        if orders:
+            self.rosa.order[thing] = orders
         self.written[word, own] = stated
 
     def thing(self, own: str) -> Any:  # noqa: ANN401  # of owlready2
@@ -301,18 +287,10 @@ class _Graph:
             self._things[own] = owlready2.Thing(own, namespace=self.ontology)
         return self._things[own]
 
-    def drop(self, word: str, own: str) -> None:
-        """Remove an individual."""
-        import owlready2
-
-        del self.written[word, own]
-        if own in self._things:
-            owlready2.destroy_entity(self._things.pop(own))
-
     def _values(self, own: str, name: str, field: str, value: Any) -> Iterator[Any]:  # noqa: ANN401  # of any class
         """Yield the values of a property for a field, as owlready2 takes them."""
-        if field in ("agreement", "rates"):
-            value = json.dumps(value) if value else ""
+        if field in _JSON and value:
+            value = json.dumps(value)
         if name == "hasPreference" and isinstance(value, str):
             value = {value: 1.0}
         if isinstance(value, Mapping):
@@ -320,22 +298,21 @@ class _Graph:
                 nested = {"prefers": self.thing(_id("Attribute", key)), "weight": content}
                 if name == "hasParameter":
                     nested = {"key": key, "parameter_value": json.dumps(content)}
-                    nested["parameter_type"] = elements.parameter_type(content)
                 part = Individual(_RANGES[name], _id(f"{_RANGES[name]}.{own}", key), nested)
                 self.put(part)
                 yield self.thing(part.id)
             return
         for item in value if isinstance(value, list | tuple) else (value,):
-            if isinstance(item, records.ReconfigurationPlan):
-                yield self.thing(_id("ReconfigurationPlan", item.number))
-            elif item in self.ids:
+            if item in self.ids:
                 yield self.thing(self.ids[item])
             elif item in _NOTHING:
                 continue
+            elif isinstance(item, records.ReconfigurationPlan):
+                yield self.thing(_id("ReconfigurationPlan", item.number))
             elif field in elements.REFERENCES:
                 yield self.thing(_id(CLASSES[elements.REFERENCES[field]], item))
             elif isinstance(item, str):
-                yield _fit(str(item))
+                yield str(item)
             else:
                 yield _Double(item) if _RANGES.get(name) == "double" else item
 
@@ -355,114 +332,99 @@ def owl_text(model: elements.Owner) -> str:
         return written.getvalue().decode()
 
 
-def load_owl(cls: "Callable[[str], ModelT]", paths: Sequence[Path], name: str | None) -> "ModelT":
+def load_owl(cls: "Callable[[str], ModelT]", paths: Sequence[Path]) -> "ModelT":
     """Read one model from one or more OWL files in RDF/XML; see `Model.load`."""
-    with _LOCK, closing(_Graph("")) as graph:
+    with _LOCK, closing(_Reader("")) as reader:
         for path in paths:
-            _parse(graph.world, path)
+            reader.parse(path)
         try:
-            reader = _Reader(graph)
-            model = cls(name or next(reader.names(), paths[0].stem))
+            reader.check_words()
+            names = [each.rosa_name for each in reader.rosa.RobotModel.instances()]
+            model = cls([*names, paths[0].stem][0])
             reader.declare(model)
         except KnowledgeBaseError as error:
             raise ModelFileError(str(error), ", ".join(map(str, paths))) from None
         return model
 
 
-def _parse(world: World, path: Path) -> None:
-    """Read the triples of a file into an ontology of its own."""
-    import owlready2
-
-    text = read_text(path)
-    if ROSA not in text:
-        raise ModelFileError(f"nothing in it is described in the words of {ROSA}", str(path))
-    ontology = world.get_ontology(f"{BASE}file{len(world.ontologies)}#")
-    try:
-        expat.ParserCreate().Parse(text, True)  # says where, and refuses endless entities
-        ontology.graph.parse(BytesIO(text.encode()), format="rdfxml", default_base=BASE)
-    except expat.ExpatError as error:
-        why = f"this is not RDF/XML: {expat.ErrorString(error.code)}"
-        raise ModelFileError(why, str(path), error.lineno, error.offset + 1) from None
-    except owlready2.OwlReadyOntologyParsingError as error:
-        raise ModelFileError(f"this is not RDF/XML: {error}", str(path)) from None
-
-
-class _Reader:
+class _Reader(_Graph):
     """Declares the individuals of a world in a model, each after those that it refers to."""
 
-    def __init__(self, graph: _Graph) -> None:
-        self._rosa = graph.rosa
+    def __init__(self, model: str) -> None:
+        super().__init__(model)
         self._elements: ByName[Any] = ByName("individual")
-        words = "SELECT DISTINCT ?w { { ?x a ?w } UNION { ?x ?w ?y } }"
-        for (iri,) in answers(graph.world, words):
+
+    def parse(self, path: Path) -> None:
+        """Read the triples of a file into an ontology of its own."""
+        import owlready2
+
+        text = read_text(path)
+        if ROSA not in text:
+            raise ModelFileError(f"nothing in it is described in the words of {ROSA}", str(path))
+        ontology = self.world.get_ontology(f"{BASE}file{len(self.world.ontologies)}#")
+        try:
+            expat.ParserCreate().Parse(text, True)  # says what is wrong
+            ontology.graph.parse(BytesIO(text.encode()), format="rdfxml", default_base=BASE)
+        except (expat.ExpatError, owlready2.OwlReadyOntologyParsingError) as error:
+            raise ModelFileError(f"this is not RDF/XML: {error}", str(path)) from None
+
+    def check_words(self) -> None:
+        """Refuse words that ROSA does not have; owlready2 would ignore them."""
+        for (iri,) in answers(self.world, "SELECT DISTINCT ?w { { ?x a ?w } UNION { ?x ?w ?y } }"):
             word = str(iri).removeprefix(ROSA)
             if word != iri and word not in WORDS:
                 raise UnknownName("word of ROSA", word, WORDS)
 
-    def names(self) -> Iterator[str]:
-        """Yield the names of the models that are described."""
-        for thing in self._rosa.RobotModel.instances():
-            yield from map(_unfit, self._rosa["name"][thing])
-
     def declare(self, model: elements.Owner) -> None:
         """Declare elements by class and position, then facts by position."""
-        classes: dict[str, tuple[type, dict[str, str]]] = {
-            CLASSES[cls]: (cls, {}) for cls in elements.ROSA
-        }
-        for kind, word in _SPECIAL.items():
-            general = elements.Attribute if "Attribute" in word else elements.Component
-            classes[word] = (general, {"kind": kind})
-        kinds = {
-            thing: each for word, each in classes.items() for thing in self._rosa[word].instances()
-        }
-        ranks = {cls: rank for rank, cls in enumerate(elements.KINDS)}
-        ordered: list[tuple[int, Any, str, Any]] = []
-        for thing, (cls, _) in kinds.items():
-            position = self._rosa.position[thing] or [0]
-            ordered.append((ranks.get(cls, len(ranks)), position, thing.iri, thing))
-        for *_, iri, thing in sorted(ordered):
-            cls, stated = kinds[thing]
+        facts = len(elements.KINDS)  # they are in one order, after all elements
+        found: list[tuple[int, list[int], str, Any, type]] = []
+        for rank, cls in enumerate(elements.ROSA):
+            for thing in self.rosa[CLASSES[cls]].instances():
+                place = self.rosa.position[thing]
+                found.append((min(rank, facts), place, thing.iri, thing, cls))
+        for *_, iri, thing, cls in sorted(found, key=lambda each: each[:3]):
+            words = [own.name for own in thing.is_a]
+            stated = {"kind": kind for kind, word in _SPECIAL.items() if word in words}  # noqa: B035  # the last is the most special
             try:
-                self._elements[thing] = model.state(cls, self._fields(thing, cls) | stated)
+                stated |= self._fields(thing, cls)
+                self._elements[thing] = model.state(cls, stated)
             except (LookupError, TypeError, ValueError) as error:
                 raise ModelError(f"{iri}: {error}") from None
 
     def _fields(self, thing: Any, cls: type) -> dict[str, Any]:  # noqa: ANN401  # of owlready2
         """Return the fields of a dataclass as an individual has them."""
-        orders = [line.split() for line in self._rosa.order[thing]]
+        orders = dict(line.split(" ", 1) for line in self.rosa.order[thing])
         stated: dict[str, Any] = {}
-        for field, name in PROPERTIES[cls].items():
-            if not name:
+        for field, name in _properties(cls).items():
+            values = list(self.rosa[name][thing])
+            if name not in _LISTS:
+                if values:
+                    (value,) = values
+                    stated[field] = self._read(field, name, value)
                 continue
-            order = [own for word, *ids in orders if word == name for own in ids]
-            values = sorted(self._rosa[name][thing], key=partial(_place, order))
-            read = [self._read(cls, field, name, value) for value in values]
-            if name in ("hasParameter", "hasPreference"):
-                stated[field] = dict(read)
-            elif name in _LISTS:
-                stated[field] = read
-            elif len(read) > 1:
-                raise ModelError(f"{name} has one value, not {len(read)}")
-            elif read:
-                stated[field] = read[0]
+            order = orders.get(name, "").split()
+            values.sort(key=partial(_place, order))
+            read = [self._read(field, name, value) for value in values]
+            stated[field] = dict(read) if name.startswith("has") else read
         return stated
 
-    def _read(self, cls: type, field: str, name: str, value: Any) -> Any:  # noqa: ANN401  # of any class
-        if not _RANGES.get(name, "text")[0].isupper():
-            return _unfit(value) if isinstance(value, str) else value
+    def _read(self, field: str, name: str, value: Any) -> Any:  # noqa: ANN401  # of any class
         if name == "hasParameter":
-            return _unfit(value.key or ""), json.loads(_unfit(value.parameterValue))
+            return value.key or "", json.loads(value.parameterValue)
         if name == "hasPreference":
             return self._elements[value.prefers].name, value.weight
-        element = self._elements[value]
-        is_by_name = cls is elements.Constraint or cls not in elements.KINDS
-        return element.name if is_by_name and field in elements.REFERENCES else element
+        if _RANGES.get(name, "text")[0].isupper():
+            return self._elements[value]
+        if field in _JSON:
+            return json.loads(value)
+        return str(value) if isinstance(value, str) else value  # without its language
 
 
-def _place(order: Sequence[str], value: Any) -> tuple[float, str]:  # noqa: ANN401  # of owlready2
+def _place(order: Sequence[str], value: Any) -> tuple[int, str]:  # noqa: ANN401  # of owlready2
     """Return the place of an individual in the order that is stated; the others come last."""
     name = getattr(value, "name", "")
-    return order.index(name) if name in order else math.inf, name
+    return [*order, name].index(name), name
 
 
 def contradiction(text: str) -> str | None:
@@ -473,9 +435,6 @@ def contradiction(text: str) -> str | None:
     """
     import owlready2
 
-    if shutil.which(owlready2.JAVA_EXE) is None:
-        what = "HermiT, the reasoner, needs Java, which is not found; install a Java runtime"
-        raise KnowledgeBaseError(what)
     world = owlready2.World()
     try:
         ontology = world.get_ontology("http://rosa-taca/checked#")
@@ -484,8 +443,9 @@ def contradiction(text: str) -> str | None:
         empty = sorted(cls.name for cls in world.inconsistent_classes())
     except owlready2.OwlReadyInconsistentOntologyError:
         return "HermiT finds the ontology inconsistent: what it says cannot all be true"
-    except owlready2.OwlReadyJavaError as error:
-        raise KnowledgeBaseError(f"HermiT failed: {error}") from None
+    except (FileNotFoundError, owlready2.OwlReadyJavaError) as error:
+        what = "HermiT, the reasoner, needs a Java runtime and an ontology that it can read"
+        raise KnowledgeBaseError(f"{what}: {error}") from None
     finally:
         world.close()
     return f"HermiT finds that nothing can be a {', '.join(empty)}" if empty else None
@@ -493,24 +453,8 @@ def contradiction(text: str) -> str | None:
 
 # ---------------------------------------------------------------- what is known now
 
-_PERIODS: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
-    "component_failed": ("Failure", ("reason",)),
-    "component_recovered": ("Failure", ()),
-    "component_active": ("Activity", ("is_so", "reason")),
-    "assert_status": ("AssertedStatus", ("status", "reason", "until")),
-    "retract_status": ("AssertedStatus", ()),
-    "lapse": ("AssertedStatus", ()),
-    "assert_required": ("AssertedRequirement", ("is_so",)),
-    "assert_selected": ("Selection", ("is_so", "reason")),
-}
-"""By verb of an event: the period that begins or ends for its first argument, and its fields.
-
-An event without further arguments, or with a false one, only ends the period.
-"""
-_WORD_OF_KIND: Final = {kind: CLASSES[cls] for cls, kind in elements.KINDS.items()}
-
-Period = tuple[str, str]
-"""Its class, and the id of what it is about."""
+Period = tuple[str, str, str]
+"""Its class, and the name and the id of what it is about."""
 
 
 class _Live(_Graph):
@@ -518,53 +462,55 @@ class _Live(_Graph):
 
     def __init__(self, kb: Any) -> None:  # noqa: ANN401  # a knowledge base, which imports this module
         super().__init__(kb.model.name)
-        self._last = -1  # number of the newest event in it
-        self._count = 0
+        self._last = -math.inf  # number of the newest event in it
+        self._first = kb.log.last
         self._open: dict[Period, Individual] = {}
-        self._ended: deque[tuple[str, str]] = deque()
-        self._measured: deque[tuple[str, str]] = deque()
         with kb.reading() as state:
             self._network = state.network
-            described = list(self.describe(kb.model))
-        for individual in described:
+            model = list(self.describe(kb.model))
+        for individual in model:
             self.put(individual)
 
     def update(self, kb: Any) -> bool:  # noqa: ANN401  # a knowledge base, which imports this module
-        """Write what is new; return whether the model is still the one that is described.
+        """Write what is new, or return that the world has to begin anew.
 
         The knowledge base is held only while it is copied.
         """
         with kb.reading() as state:
             if kb.log.last == self._last:
                 return True
-            if state.network is not self._network:
+            if state.network is not self._network or kb.log.last > self._first + HISTORY:
                 return False
             events = list(kb.log.since(max(self._last, 0)))
-            measured = [
-                (event.time, *event.arguments) for event in events if event.verb == "measure"
-            ]
-            if self._last < 0:
-                past = [
-                    (time, view.name, value)
-                    for view in kb.attributes.values()
-                    for time, value in view.history
-                ]
-                measured = sorted(past)[-HISTORY:]
+            measured = sorted(self._measured(state))
             now = [*self._inferred(state), *self._new_records(kb)]
-            present = dict(self._present(state))
+            periods = dict(self._periods(state))
             self._last = kb.log.last
         for individual in now:
             self.put(individual)
+        times: dict[str, float] = {}
         for event in events:
-            self._follow(event)
-        for period in sorted(self._open.keys() ^ present.keys()):  # of which no event says when
-            self._change(period, kb.log.time, present.get(period))
-        for moment, name, value in measured:
+            times.update(dict.fromkeys((name for _, name, _ in event.effects), event.time))
+            times[event.subject] = event.time
+        for period in sorted(self._open.keys() | periods.keys()):
+            self._follow(period, periods.get(period), times.get(period[1], kb.log.time))
+        for number, moment, name, value in measured[-RECORDS:]:
             stated = {"attribute": name, "time": moment, "value": value}
-            self._remember(self._measured, self._numbered("Measurement", stated))
+            self.put(Individual("Measurement", _id("Measurement", number), stated))
+        for event in events[-RECORDS:]:
+            if event.verb != "measure":
+                self.put(_happening(event))
         return True
 
     # ---------------------------------------------------------------- copied
+
+    def _measured(self, state: State) -> Iterator[tuple[int, float, str, float]]:
+        """Yield the number, time, attribute and value of each new measurement."""
+        for node, history in state.histories.items():
+            for moment, value, number in reversed(history):
+                if number <= self._last:
+                    break
+                yield number, moment, node.name, value
 
     def _inferred(self, state: State) -> Iterator[Individual]:
         """Yield the statuses of the elements, and the parameters in force."""
@@ -578,7 +524,7 @@ class _Live(_Graph):
             stated = {"component": node.name, "parameters": parameters}
             yield Individual("ParametersInForce", _id("ParametersInForce", node.name), stated)
 
-    def _present(self, state: State) -> Iterator[tuple[Period, dict[str, Any]]]:
+    def _periods(self, state: State) -> Iterator[tuple[Period, dict[str, Any]]]:
         """Yield what goes on now, with its fields."""
         columns = {
             "failed": ("Failure", state.failed),
@@ -593,20 +539,15 @@ class _Live(_Graph):
                 stated = {"reason": reason.text, "until": reason.until}
                 if word == "AssertedStatus":
                     stated["status"] = str(state.asserted[node])
-                yield (word, self.ids[node.element]), stated
+                yield (word, node.name, self.ids[node.element]), stated
 
-    def _new_records(self, kb: Any) -> Iterator[Individual]:  # noqa: ANN401  # of any class
+    def _new_records(self, kb: Any) -> Iterator[Individual]:  # noqa: ANN401  # a knowledge base
         """Yield the records that are new or had not ended."""
         history = kb.history
-        for table in (
-            kb.plans,
-            history.actions,
-            history.processes,
-            history.attempts,
-            history.answers,
-        ):
+        tables = (history.actions, history.attempts, history.answers)
+        for table in (kb.plans, *tables):
             for record in table[-RECORDS:]:
-                number = getattr(record, "serial", getattr(record, "number", None)) or record.time
+                number = getattr(record, "serial", None) or record.number
                 word = CLASSES[type(record)]
                 own = _id(word, number)
                 if self.written.get((word, own), {}).get("end") is None:
@@ -614,45 +555,26 @@ class _Live(_Graph):
 
     # ---------------------------------------------------------------- written
 
-    def _follow(self, event: Event) -> None:
-        """Write what an event begins and ends."""
-        if event.verb == "amend":
-            stated = {"time": event.time, "change": event.text}
-            self._remember(self._ended, self._numbered("Amendment", stated))
-        for kind, name, is_selected in event.effects:
-            stated = {"start": event.time, "reason": event.arguments[2]}
-            period = "Selection", _id(_WORD_OF_KIND[kind], name)
-            self._change(period, event.time, stated if is_selected else None)
-        if event.verb in _PERIODS:
-            word, names = _PERIODS[event.verb]
-            about, *arguments = event.arguments
-            kind, name, *place = ("component", about) if isinstance(about, str) else about
-            stated = {"start": event.time, **dict(zip(names, arguments, strict=False))}
-            is_so = bool(names) and stated.pop("is_so", True)
-            if not place:  # else it is a constraint, which has no name
-                period = word, _id(_WORD_OF_KIND[kind], name)
-                self._change(period, event.time, stated if is_so else None)
-
-    def _change(self, period: Period, moment: float, stated: Mapping[str, Any] | None) -> None:
-        """End what goes on, and begin it anew with these fields unless there are none."""
-        word, about = period
-        before = self._open.pop(period, None)
-        if before is not None:
-            self._remember(self._ended, before._replace(fields={**before.fields, "end": moment}))
+    def _follow(self, period: Period, stated: Mapping[str, Any] | None, moment: float) -> None:
+        """End what went on, and begin it with these fields, unless they are the same or none."""
+        word, _, about = period
+        before = self._open.get(period)
+        if before and stated and stated.items() <= before.fields.items():
+            return
+        if before:
+            del self._open[period]
+            self.put(before._replace(fields={**before.fields, "end": moment}))
         if stated is not None:
-            self._open[period] = self._numbered(word, {"about": self.thing(about), **stated})
+            begun = {"about": self.thing(about), "start": moment, **stated}
+            self._open[period] = Individual(word, _id(word, len(self.written)), begun)
             self.put(self._open[period])
 
-    def _numbered(self, word: str, stated: Mapping[str, Any]) -> Individual:
-        self._count += 1
-        return Individual(word, f"Fact.{self._count}", stated)
 
-    def _remember(self, past: deque[tuple[str, str]], individual: Individual) -> None:
-        """Write an individual of the past, in place of the oldest if there are too many."""
-        self.put(individual)
-        past.append(individual[:2])
-        if len(past) > HISTORY:
-            self.drop(*past.popleft())
+def _happening(event: Event) -> Individual:
+    """Describe an event."""
+    word, words = ("Amendment", "change") if event.verb == "amend" else ("Event", "text")
+    stated = {"time": event.time, "verb": event.verb, "subject": event.subject, words: event.text}
+    return Individual(word, _id(word, event.number), stated)
 
 
 class Ontology:
@@ -703,7 +625,6 @@ _REFUSED: Final = {
     "ASK": "SELECT instead, and look whether there is a row",
     "CONSTRUCT": "SELECT the subjects, properties and values instead",
     "DESCRIBE": "SELECT ?property ?value { <individual> ?property ?value } instead",
-    "SERVICE": "leave it out, nothing is asked of other places",
     "INSERT": "leave it out, nothing is changed",
     "DELETE": "leave it out, nothing is changed",
 }
@@ -723,19 +644,18 @@ def answers(world: World, sparql: str) -> list[tuple[Answer, ...]]:
         TimeoutError: its time is over.
     """
     literals: list[str] = []
-    has_prefixes = re.search(r"(?i)\bprefix\b", sparql)
 
     def replaced(match: re.Match[str]) -> str:
         refused = (match["refused"] or "").upper()
         if refused:
             raise InvalidValue(f"{refused} is not supported; {_REFUSED[refused]}")
-        if match["word"] and match["word"] not in WORDS and not has_prefixes:
+        if match["word"] and match["word"] not in WORDS:
             raise UnknownName("word of ROSA", match["word"], sorted(WORDS))
         if match["comment"]:
             return " "
         if not match["literal"] or re.fullmatch(r"[\w .,:;_-]*", match["literal"][1:-1]):
             return match[0]
-        literals.append(_fit(literal_eval(match[0])))  # Python writes literals as SPARQL does
+        literals.append(literal_eval(match[0]))  # Python writes literals as SPARQL does
         return f"??{len(literals)}"  # owlready2 reads odd ones wrongly
 
     text = _TOKEN.sub(replaced, sparql)
@@ -761,5 +681,5 @@ def _row(world: World, types: Sequence[str], row: Sequence[Any]) -> tuple[Answer
             value = f"_:{-value}" if value < 0 else world._unabbreviate(value)
         elif isinstance(value, str):
             value = world._to_python(value, datatype)
-        values.append(_unfit(value) if isinstance(value, str) else value)
+        values.append(value)
     return tuple(values)

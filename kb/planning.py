@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from operator import attrgetter
 from types import MappingProxyType
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from kb.elements import Configuration, FunctionDesign
 from kb.network import Node
@@ -60,12 +60,10 @@ def choice_by_priority(state: State) -> Choice | None:
     adaptable = sorted(state.adaptable, key=attrgetter("index"))
     functions = [node for node in adaptable if node.kind == "function"]
     designs = firsts_by_priority(state, functions)
-    selection = state.decide(designs)
-    if selection.flips:
-        following = state.copy()
-        following.select(selection.flips)
-        adaptable = in_order(following.adaptable)
-    given_up = selection.deactivate
+    flips, plan = state.decide(designs)
+    if flips:
+        adaptable = in_order(state.after(flips).adaptable)
+    given_up = plan.deactivate if plan else ()
     components = [
         node for node in adaptable if node.kind == "component" and node.name not in given_up
     ]
@@ -75,29 +73,19 @@ def choice_by_priority(state: State) -> Choice | None:
     return Choice(by_owner(designs), by_owner(configurations))
 
 
-class Selecting(Readable, Protocol):
-    """A knowledge base, as far as a planner needs it."""
-
-    def select(
-        self,
-        designs: Mapping[str, str] | None = None,
-        configurations: Mapping[str, str] | None = None,
-        reason: str = "",
-    ) -> ReconfigurationPlan | None: ...
-
-
 class PriorityPlanner:
     """Chooses the lowest priority number of what is feasible; none last, ties by name."""
 
-    def choose(self, kb: Selecting) -> Choice | None:
+    def choose(self, kb: Readable) -> Choice | None:
         """Choose for each adaptable function, then for each component adaptable with that."""
         with kb.reading() as state:
             return choice_by_priority(state)
 
-    def plan(self, kb: Selecting) -> ReconfigurationPlan | None:
+    def plan(self, kb: Any) -> ReconfigurationPlan | None:  # noqa: ANN401  # a knowledge base, which imports this module
         """Select by priority and return the plan; None if there is nothing to choose."""
         choice = self.choose(kb)
-        return None if choice is None else kb.select(*choice)
+        plan: ReconfigurationPlan | None = None if choice is None else kb.select(*choice)
+        return plan
 
 
 # -------------------------------------------------------------------- what follows from a choice
@@ -109,9 +97,6 @@ class Obsolete(NamedTuple):
     components: tuple[str, ...]
     designs: tuple[str, ...]
     configurations: tuple[str, ...]
-
-    def __bool__(self) -> bool:
-        return any(self)
 
 
 def by_owner(chosen: Iterable[Node]) -> Mapping[str, str]:

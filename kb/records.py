@@ -5,12 +5,12 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import islice
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
-from kb.elements import Parameters, PlanFact, ProcessFact, RequiredActionFact, table
+from kb.elements import Parameters, RequiredActionFact
 from kb.exceptions import InvalidValue
 
 T = TypeVar("T")
@@ -19,7 +19,6 @@ RESULTS: Final = ("completed", "failed", "abandoned")
 _MOST: Final = 10_000
 """How many records of each kind are held: the newest, and whatever has not ended."""
 _MOST_EVENTS: Final = 100_000
-_MOST_END_REASONS: Final = 4
 
 
 class Reply(NamedTuple):
@@ -91,8 +90,8 @@ class ReconfigurationPlan:
     activate: tuple[str, ...]
     deactivate: tuple[str, ...]
     parameters: tuple[str, ...]
-    reason: str
-    start: float
+    reason: str = ""
+    start: float = 0.0
     end: float | None = None
     result: str | None = None
     plain: tuple[str, ...] = ()
@@ -112,38 +111,6 @@ class ReconfigurationPlan:
     def __repr__(self) -> str:
         return f"<ReconfigurationPlan {self} ({self.result or 'open'})>"
 
-    def _repr_html_(self) -> str:
-        steps = (
-            ("stop", self.deactivate),
-            ("start", self.activate),
-            ("configure", self.parameters),
-        )
-        rows = [(verb, name) for verb, names in steps for name in names]
-        return table(
-            f"plan {self.number}, {self.result or 'open'}: {self.reason}", ("step", "what"), rows
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Process:
-    """A process of the operating system in which a component ran or runs.
-
-    Only the knowledge base can end the record.
-
-    Attributes:
-        component: name of the component.
-        pid: number of the process.
-        start: when it was started [s].
-        end: when it ended [s], None while it runs.
-        number: number of the event of its start.
-    """
-
-    component: str
-    pid: int
-    start: float
-    end: float | None = None
-    number: int = 0
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attempt:
@@ -160,7 +127,7 @@ class Attempt:
         end: when it was found to have ended [s], None while it is under way.
         result: "completed", "failed" or "abandoned", None while it is under way.
         reason: why it failed, or what was unusual about it, in words.
-        serial: 1 for the first attempt of a knowledge base.
+        serial: number of the event of the command.
     """
 
     plan: ReconfigurationPlan
@@ -200,8 +167,7 @@ class VetoAnswer:
     number: int = 0
 
 
-RecordT = TypeVar("RecordT", RequiredAction, ReconfigurationPlan, Process, Attempt, VetoAnswer)
-Record = RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer
+RecordT = TypeVar("RecordT", RequiredAction, ReconfigurationPlan, Attempt, VetoAnswer)
 
 
 class Log:
@@ -214,9 +180,8 @@ class Log:
             the base is held.
     """
 
-    def __init__(self, lock: AbstractContextManager[object], catch_up: Callable[[], None]) -> None:
-        self._lock = lock
-        self.catch_up = catch_up  # called before all are looked at: what was interrupted ends
+    def __init__(self, reading: Callable[[], AbstractContextManager[object]]) -> None:
+        self.reading = reading  # completes what was interrupted, and holds the base
         self._events: deque[Any] = deque(maxlen=_MOST_EVENTS)
         self.last = 0
         self.time = -math.inf
@@ -237,13 +202,12 @@ class Log:
 
     def since(self, number: int) -> Iterator[Any]:
         """Yield the events after one, in order."""
-        with self._lock:
+        with self.reading():
             newest = list(islice(reversed(self._events), max(0, self.last - number)))
         newest.reverse()
         return iter(newest)
 
     def __iter__(self) -> Iterator[Any]:
-        self.catch_up()
         return self.since(0)
 
     def __len__(self) -> int:
@@ -260,13 +224,10 @@ class Records:
         required: the open ones of these by name of the action.
         plans: reconfiguration plans by their number.
         open_plans: those of these that have not ended.
-        processes: by number of the event of the start.
         attempts: commands by their serial number.
         answers: answers about plans by number of the event.
         last_end: when a request ended last [s], and the number of that event.
-        end_reasons: why requests ended since the last plan, in words, by number of the event.
         rejected: how many values of diagnostics could not be used.
-        progress: saved progress by action and behaviour; empty if it starts anew.
     """
 
     def __init__(self) -> None:
@@ -274,20 +235,15 @@ class Records:
         self.required: dict[str, RequiredAction] = {}
         self.plans: dict[int, ReconfigurationPlan] = {}
         self.open_plans: dict[int, ReconfigurationPlan] = {}
-        self.processes: dict[int, Process] = {}
         self.attempts: dict[int, Attempt] = {}
         self.answers: dict[int, VetoAnswer] = {}
         self.last_end: tuple[float, int] | None = None
-        self.end_reasons: dict[int, str] = {}
         self.rejected = 0
-        self.progress: dict[tuple[str, str], str] = {}
-        self._attempted = (0, 0)  # the newest event of an attempt, and its serial number
 
     def apply(self, event: Any) -> None:  # noqa: ANN401  # an `Event`, which has a plan
         """Enter what an event says."""
         now = event.time
         if event.plan is not None:
-            self.end_reasons = {}
             self._add(self.plans, event.plan)
         match event.verb, event.arguments:
             case "request_action", (name, preference):
@@ -299,10 +255,6 @@ class Records:
                 self._add(self.requests, request)
             case "cancel_action", (name, result, reason) if name in self.required:
                 self.last_end = now, event.number
-                if reason:
-                    self.end_reasons[event.number] = f"{name} is {result}: {reason}"
-                    for number in list(self.end_reasons)[:-_MOST_END_REASONS]:
-                        del self.end_reasons[number]
                 _finish(self.required[name], result=result, reason=reason, end=now)
                 del self.required[name]
             case "finish_plan", (number, result):
@@ -318,25 +270,16 @@ class Records:
                     for number, open_plan in self.open_plans.items()
                     if open_plan.end is None
                 }
-            case "component_started", (name, pid):
-                self._add(self.processes, Process(name, pid, now, number=event.number))
-            case "component_ended", (name, pid):
-                for process in self.running(name, pid):
-                    _finish(process, end=now)
             case "record_attempt", (number, component, operation, name, parameters, count):
-                if self._attempted[0] != event.number:
-                    self._attempted = event.number, next(reversed(self.attempts), 0) + 1
                 values = MappingProxyType(dict(parameters))
                 command = self.plans[number], component, operation, name, values, count, now
-                self._add(self.attempts, Attempt(*command, serial=self._attempted[1]))
+                self._add(self.attempts, Attempt(*command, serial=event.number))
             case "finish_attempt", (serial, result, reason):
                 if serial in self.attempts:
                     _finish(self.attempts[serial], result=result, reason=reason, end=now)
             case "record_answer", (number, is_vetoed, reason):
                 answer = VetoAnswer(self.plans[number], now, is_vetoed, reason, event.number)
                 self._add(self.answers, answer)
-            case "progress", (action, behaviour, saved):
-                self.progress[action, behaviour] = saved
 
     def _add(self, table: dict[int, RecordT], record: RecordT) -> None:
         """Add a record, unless there is one of this number already."""
@@ -351,85 +294,54 @@ class Records:
             for key in ended[:-_MOST]:
                 del table[key]
 
-    def running(self, component: str, pid: int | None = None) -> list[Process]:
-        """Return the processes of a component that run: the one of this number, or all."""
-        return [
-            process
-            for process in self.processes.values()
-            if process.component == component and process.end is None and pid in (None, process.pid)
-        ]
-
-    def begin(
-        self, fact: RequiredActionFact | PlanFact | ProcessFact, number: int, now: float
-    ) -> None:
-        """Add a record that a model states; a missing start is the end, or else now [s]."""
+    def begin(self, fact: RequiredActionFact, number: int, now: float) -> None:
+        """Add a request that a model states; a missing start is the end, or else now [s]."""
         start = fact.start
         if start is None:
             start = now if fact.end is None else fact.end
-        values = {field.name: getattr(fact, field.name) for field in fields(fact)}
-        values |= {"start": start, "number": number}
-        if isinstance(fact, ProcessFact):
-            self._add(self.processes, Process(**values))
-            return
-        if fact.end is None and fact.result is not None:
-            values["end"] = start
-        if isinstance(fact, PlanFact):
-            values |= {"reason": "stated by the model", "number": len(self.plans) + 1}
-            self._add(self.plans, ReconfigurationPlan(**values))
-            return
-        if fact.preference and list(fact.preference.values()) == [1.0]:
-            (values["preference"],) = fact.preference
-        self._add(self.requests, RequiredAction(**values))
+        end = start if fact.end is None and fact.result else fact.end
+        request = RequiredAction(
+            fact.action, fact.preference, start, end, fact.result, number=number
+        )
+        self._add(self.requests, request)
+
+
+class _Table(Generic[T]):
+    """A property of the history: the records of a kind, in order."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, view: "HistoryView", _: type) -> tuple[T, ...]:
+        with view.reading():
+            return tuple(vars(view.records)[self._name].values())
 
 
 class HistoryView:
-    """The records that are needed less often; old ones that have ended may be forgotten."""
+    """The records that are needed less often; old ones that have ended may be forgotten.
+
+    Attributes:
+        actions: the actions that are or were required, in the order of the requests.
+        open_plans: the plans that have not ended, in the order in which they were made.
+        attempts: the commands that were given, in order, each with its result.
+        answers: the answers to whether a plan may be executed, in order.
+        rejected: how many values of diagnostics could not be used so far.
+    """
 
     def __init__(
         self, records: Records, reading: Callable[[], AbstractContextManager[object]]
     ) -> None:
-        self._records = records
-        self._reading = reading
+        self.records = records
+        self.reading = reading
 
-    @property
-    def actions(self) -> tuple[RequiredAction, ...]:
-        """The actions that are or were required, in the order of the requests."""
-        return self._all(self._records.requests)
-
-    @property
-    def open_plans(self) -> tuple[ReconfigurationPlan, ...]:
-        """The plans that have not ended, in the order in which they were made."""
-        return self._all(self._records.open_plans)
-
-    @property
-    def processes(self) -> tuple[Process, ...]:
-        """The processes in which components ran or run, in the order of their starts."""
-        return self._all(self._records.processes)
-
-    @property
-    def attempts(self) -> tuple[Attempt, ...]:
-        """The commands that were given, in order, each with its result."""
-        return self._all(self._records.attempts)
-
-    @property
-    def answers(self) -> tuple[VetoAnswer, ...]:
-        """The answers to whether a plan may be executed, in order."""
-        return self._all(self._records.answers)
+    actions = _Table[RequiredAction]("requests")
+    open_plans = _Table[ReconfigurationPlan]("open_plans")
+    attempts = _Table[Attempt]("attempts")
+    answers = _Table[VetoAnswer]("answers")
 
     @property
     def rejected(self) -> int:
-        """How many values of diagnostics could not be used so far."""
-        return self._records.rejected
-
-    @property
-    def progress(self) -> Mapping[tuple[str, str], str]:
-        """The saved progress of interrupted actions, by action and behaviour."""
-        with self._reading():
-            return {key: saved for key, saved in self._records.progress.items() if saved}
-
-    def _all(self, table: Mapping[int, T]) -> tuple[T, ...]:
-        with self._reading():
-            return tuple(table.values())
+        return self.records.rejected
 
 
 def check_result(result: str) -> None:
@@ -444,16 +356,7 @@ def read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
 copyreg.pickle(MappingProxyType, lambda mapping: (read_only, (dict(mapping),)))
 
 
-def plain(value: object) -> object:
-    """Return a value in a form that JSON can hold; a plan becomes its number."""
-    if isinstance(value, tuple | list):
-        return [plain(item) for item in value]
-    if isinstance(value, Mapping):
-        return {key: plain(item) for key, item in value.items()}
-    return value.number if isinstance(value, ReconfigurationPlan) else value
-
-
-def _finish(record: Record, **values: object) -> None:
+def _finish(record: object, **values: object) -> None:
     """End a record, which is frozen for everybody else."""
     for name, value in values.items():
         object.__setattr__(record, name, value)

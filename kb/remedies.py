@@ -168,7 +168,7 @@ class Requirements:
         self._violated: set[Node] = set()
         """The constraints that measurements violate."""
         if state is not None:
-            constraints = state.network.constraints.values()
+            constraints = state.network.kinds["constraint"].values()
             self._violated = {node for node in constraints if state.compare(node) is VIOLATED}
 
     def of(self, node: Node) -> Alternatives:

@@ -4,16 +4,15 @@ Each question is a function, and a method of both `KnowledgeBase` and `Situation
 answers as the base would if some facts were different. No question changes anything.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final, TypeVar
 
 from kb import explain as explanation
 from kb import views
-from kb.elements import Constraint, Element, finite_number, listed, meant_by, shown
+from kb.elements import Constraint, Element, finite_number, listed, meant_by
 from kb.exceptions import InvalidValue
-from kb.forecast import feasible_until, suppose_forecast
 from kb.network import Network, Node, Ref
 from kb.planning import Choice, Obsolete, by_owner, firsts_by_priority
 from kb.state import State, in_order
@@ -31,6 +30,7 @@ ELEMENTS: Final = (
 """The kinds of elements that have a status; all but constraints have a name too."""
 _EXPLAINED: Final = (*ELEMENTS, "attribute")
 
+T = TypeVar("T")
 ElementLike = ElementView | Element | Constraint | Ref | str
 """An element may be given as a view of it, as itself, as what stands for it in events, or by its
 name."""
@@ -92,10 +92,8 @@ def adaptable_components(
     """
     names = listed("designs", designs.values() if isinstance(designs, Mapping) else designs)
     with base.reading() as state:
-        supposed = state.copy()
-        designs_chosen = [state.network.designs[name] for name in names]
-        supposed.select(supposed.decide(designs_chosen).flips)
-        return _adaptable(supposed, "component")
+        flips, _ = state.decide([state.network.designs[name] for name in names])
+        return _adaptable(state.after(flips), "component")
 
 
 def obsolete(base: Readable) -> Obsolete:
@@ -113,9 +111,7 @@ def explain(base: Readable, element: ElementLike) -> explanation.Explanation:
     configuration and attribute. Of an attribute it is said what is known of it, and what depends on
     it.
     """
-    now = base.now
-    with base.reading() as state:
-        return explanation.explain(state, resolve(base, state, element, _EXPLAINED), now)
+    return _explained(base, element, _EXPLAINED, explanation.explain)
 
 
 def why(base: Readable, element: ElementLike) -> str:
@@ -123,9 +119,7 @@ def why(base: Readable, element: ElementLike) -> str:
 
     Quicker than `explain`, for it looks for no remedies.
     """
-    now = base.now
-    with base.reading() as state:
-        return explanation.why(state, resolve(base, state, element, _EXPLAINED), now)
+    return _explained(base, element, _EXPLAINED, explanation.why)
 
 
 def explain_choice(base: Readable, element: ElementLike) -> explanation.ChoiceExplanation:
@@ -133,11 +127,18 @@ def explain_choice(base: Readable, element: ElementLike) -> explanation.ChoiceEx
 
     Of a name that both kinds share the function is meant.
     """
+    return _explained(base, element, ("function", "component"), explanation.explain_choice)
+
+
+def _explained(
+    base: Readable,
+    element: ElementLike,
+    kinds: Iterable[str],
+    explain: Callable[[State, Node, float], T],
+) -> T:
     now = base.now
     with base.reading() as state:
-        return explanation.explain_choice(
-            state, resolve(base, state, element, ("function", "component")), now
-        )
+        return explain(state, resolve(state, element, kinds), now)
 
 
 def outline(state: State) -> str:
@@ -150,12 +151,7 @@ def outline(state: State) -> str:
 
 
 def resolve(
-    base: Readable,
-    state: State,
-    element: ElementLike,
-    kinds: Iterable[str],
-    *,
-    unique: bool = False,
+    state: State, element: ElementLike, kinds: Iterable[str], *, unique: bool = False
 ) -> Node:
     """Return the node that is meant; a bare name is looked for in the given kinds, in this order.
 
@@ -164,37 +160,28 @@ def resolve(
     """
     network = state.network
     if isinstance(element, ElementView):
-        if element.base is not base:
-            raise InvalidValue(
-                f"{element!r} is a view of another knowledge base; take it from this one"
-            )
         element = element.element
-    if isinstance(element, Element) and network.model is not element.model:
-        raise InvalidValue(f"{element.name!r} belongs to another model, {element.model.name!r}")
     if isinstance(element, Element | Constraint | tuple):
         node = network.referred(element) if isinstance(element, tuple) else network.find(element)
         if node.kind not in kinds:
             raise InvalidValue(f"{node!r} cannot be meant here; allowed are {', '.join(kinds)}")
         return node
     searched = {kind: network.kinds[kind] for kind in kinds if kind != "constraint"}
-    return meant_by(
-        element, searched, " or ".join(searched), "pass the view meant, e.g. kb." if unique else ""
-    )
+    advice = "pass the view meant, e.g. kb." if unique else ""
+    return meant_by(element, searched, " or ".join(searched), advice)
 
 
 def preferred(
     network: Network, preference: str | Mapping[str, float] | None
 ) -> str | Mapping[str, float] | None:
-    """Return a preference as the name of an attribute, or finite weights by name.
-
-    Any other is refused.
-    """
-    if preference is None or not isinstance(preference, Mapping):
-        return None if preference is None else network.attributes[preference].name
+    """Return a preference as the name of an attribute, or finite weights by name."""
+    if isinstance(preference, str):
+        return network.attributes[preference].name
     weights = {
-        network.attributes[name].name: finite_number(weight) for name, weight in preference.items()
+        network.attributes[name].name: finite_number(weight)
+        for name, weight in (preference or {}).items()
     }
-    return MappingProxyType(weights)
+    return MappingProxyType(weights) if weights else None
 
 
 def _selectable(state: State, nodes: Iterable[Node]) -> tuple[str, ...]:
@@ -213,7 +200,6 @@ def situation(
     failed: Iterable[str] = (),
     recovered: Iterable[str] = (),
     requested: Iterable[str] = (),
-    at: float | None = None,
     **attributes: float | None,
 ) -> "Situation":
     """Return a situation, "what if": a copy in which some facts differ.
@@ -228,26 +214,10 @@ def situation(
         failed: names of components supposed to have failed.
         recovered: names of components supposed not to have.
         requested: names of actions supposed to be required, even if they are unfeasible.
-        at: a time from now on [s, by the clock]. Attributes are forecast for it, as if all actions
-            that are required, or supposed to be, were done until then. A forecast only adds
-            caution: what is violated now stays violated, and what the worse end of a forecast's
-            interval violates is violated then.
         attributes: values by name of attribute, e.g. `light=0.3`.
     """
-    if not isinstance(measured, Mapping | None):
-        raise InvalidValue(
-            f"what is supposed to be measured is given as values by name, not as {measured!r}"
-        )
     values = {**(measured or {}), **attributes}
-    failed = _names("failed", failed)
-    recovered = _names("recovered", recovered)
-    requested = _names("requested", requested)
     now = base.now
-    then = now if at is None else finite_number(at)
-    if then < now:
-        raise InvalidValue(
-            f"a situation is that of a time from now on, {now!r} s by the clock; not {at!r}"
-        )
     with base.reading() as present:
         state = present.copy()
         network = state.network
@@ -262,30 +232,20 @@ def situation(
             if value is not None:
                 value = number(f"{name} cannot be supposed to be", value, node)
             state.suppose_measurement(node, value)
-        if at is not None:
-            doing = base.forecast.doing(None).union(requested)
-            for name, node in network.attributes.items():
-                if name not in values:
-                    course = base.forecast.course(name, doing)
-                    suppose_forecast(state, node, course(then, now))
         state.infer()
-    return Situation(state, then, base.forecast)
+    return Situation(state, now)
 
 
 class Situation:
     """A knowledge base as it would be if some facts were different, at one moment.
 
     It is made by `KnowledgeBase.situation`, and is a copy: nothing that is recorded later changes
-    it. It can be pickled; then it can no longer forecast.
+    it.
     """
 
-    def __init__(self, state: State, now: float, forecast: Any) -> None:  # noqa: ANN401  # a `Forecaster`, which is made of views
+    def __init__(self, state: State, now: float) -> None:
         self._state = state
-        self.now = now  # the time for which it was made [s]
-        self.forecast = forecast
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Situation, (self._state, self.now, None)
+        self.now = now  # the time at which it was made [s]
 
     actions = views.ViewsOf(views.ActionView)
     functions = views.ViewsOf(views.FunctionView)
@@ -305,7 +265,6 @@ class Situation:
     why = why
     explain_choice = explain_choice
     situation = situation
-    feasible_until = feasible_until
 
     def reading(self) -> AbstractContextManager[State]:
         """Give the facts and statuses, to be read only, of the model as it was."""
@@ -313,10 +272,6 @@ class Situation:
 
     def __repr__(self) -> str:
         return f"<Situation of {self._state.network.model.name!r}: {outline(self._state)}>"
-
-
-def _names(what: str, names: Iterable[str]) -> tuple[str, ...]:
-    return (names,) if isinstance(names, str) else listed(f"names supposed to be {what}", names)
 
 
 def number(refusal: str, value: object, attribute: Node) -> float:
@@ -327,4 +282,4 @@ def number(refusal: str, value: object, attribute: Node) -> float:
     try:
         return attribute.attribute.checked(value)
     except InvalidValue as error:
-        raise InvalidValue(f"{refusal} {shown(value)}: {error}") from None
+        raise InvalidValue(f"{refusal} {value!r:.200}: {error}") from None

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 from kb.debounce import NEVER, Debounced, debounce, policy_status, voted_status
 from kb.elements import Attribute, Changeable, ComponentKind, Constraint, Parameters
 from kb.events import Event
-from kb.network import LEVELS, Network, Node
+from kb.network import Network, Node
 from kb.records import ReconfigurationPlan
 from kb.status import (
     OPERATORS,
@@ -33,8 +33,7 @@ KEPT: Final = 10_000
 
 
 _UNSTORED: Final = ("network", "keep", "_outdated")
-_CONFIGURATION: Final = LEVELS["configuration"]
-_COMPONENT: Final = LEVELS["component"]
+_SHARED: Final = ("histories", "changed_by")  # by all copies, which do not change them
 
 
 class Reason(NamedTuple):
@@ -52,33 +51,6 @@ class Reason(NamedTuple):
 
 
 NO_REASON: Final = Reason()
-
-
-class Selection(NamedTuple):
-    """What a choice changes.
-
-    Attributes:
-        flips: the designs and configurations that are selected and were not, or the other way
-            round.
-        activate, deactivate, parameters: what the managed system has to do then, by name.
-        plain: those of them that are not commanded.
-    """
-
-    flips: tuple[Node, ...]
-    activate: tuple[str, ...]
-    deactivate: tuple[str, ...]
-    parameters: tuple[str, ...]
-    plain: tuple[str, ...]
-
-    def plan(
-        self, reason: str, time: float, cause: int | None = None, number: int = 0
-    ) -> ReconfigurationPlan | None:
-        """Return the plan that carries it out; None if there is nothing to do."""
-        steps = self.activate, self.deactivate, self.parameters
-        if not any(steps):
-            return None
-        plain = self.plain
-        return ReconfigurationPlan(*steps, reason, time, plain=plain, cause=cause, number=number)
 
 
 class State:
@@ -133,7 +105,7 @@ class State:
         self._due: dict[tuple[str, Node], float] = {}
         self._obsolete: set[Node] = set()
         self._inactive_required: set[Node] = set()
-        self._outdated: list[set[Node]] = [set() for _ in LEVELS]
+        self._outdated: dict[str, set[Node]] = {kind: set() for kind in network.kinds}
         self.touch(network.present())
         self.infer()
         self.before = {}
@@ -142,9 +114,9 @@ class State:
         """Return a copy to suppose other facts in."""
         other = State.__new__(State)
         for name, content in vars(self).items():
-            is_copied = isinstance(content, dict | set) and name != "histories"
+            is_copied = isinstance(content, dict | set) and name not in _SHARED
             vars(other)[name] = content.copy() if is_copied else content
-        other._outdated = [set() for _ in LEVELS]
+        other._outdated = {kind: set() for kind in self._outdated}
         return other
 
     def facts(self) -> dict[str, Any]:
@@ -198,8 +170,12 @@ class State:
 
     # ---------------------------------------------------------------- choosing
 
-    def decide(self, chosen: Sequence[Node]) -> Selection:
-        """Decide what a choice changes; what is obsolete is given up. Nothing changes yet."""
+    def decide(self, chosen: Sequence[Node]) -> tuple[list[Node], ReconfigurationPlan | None]:
+        """Decide what a choice changes; what is obsolete is given up. Nothing changes yet.
+
+        Returns the designs and configurations that are selected and were not, or the other way
+        round, and the steps that carry it out; None if there is nothing to do.
+        """
         flips = []
         for node in chosen:
             is_of_use = self._is_of_use(node)
@@ -231,13 +207,20 @@ class State:
             node for node in (*switched, *released) if node.element.kind is ComponentKind.PLAIN
         ]
         nodes = switched, released, configured, plain
-        return Selection(tuple(flips), *(tuple(node.name for node in each) for each in nodes))
+        activate, deactivate, parameters, names = (
+            tuple(node.name for node in each) for each in nodes
+        )
+        if not (activate or deactivate or parameters):
+            return flips, None
+        return flips, ReconfigurationPlan(activate, deactivate, parameters, plain=names)
 
-    def select(self, flips: Iterable[Node]) -> None:
-        """Select and unselect in a copy of a state."""
-        self.touch(flips)
-        self.selected = self.selected.symmetric_difference(flips)
-        self.infer()
+    def after(self, flips: Iterable[Node]) -> "State":
+        """Return a copy in which these are selected if they were not, or the other way round."""
+        state = self.copy()
+        state.touch(flips)
+        state.selected.symmetric_difference_update(flips)
+        state.infer()
+        return state
 
     # ---------------------------------------------------------------- events
 
@@ -274,9 +257,6 @@ class State:
             case "assert_selected", (ref, selected, reason):
                 node = network.referred(ref)
                 self.set_flag("selected", node, bool(selected), reason if selected else "")
-                owner = node.used_by[0]
-                is_without = self.selected.isdisjoint(owner.requires)
-                self.give_reason("unselected", owner, reason if is_without else "")
             case "request_action", (name, _):
                 self.set_flag("requested", network.actions[name], True)
             case "cancel_action", (name, *_):
@@ -290,7 +270,6 @@ class State:
                     nodes.append(node)
                 for node in nodes:
                     self.give_reason("selected", node, reason if node in self.selected else "")
-                    self.give_reason("unselected", node.used_by[0])
         self.infer()
 
     def set_measurement(self, node: Node, value: float, time: float, number: int) -> None:
@@ -303,7 +282,7 @@ class State:
                 holds = OPERATORS[constraint.element.operator]
                 threshold = constraint.element.value
                 if holds(value, threshold) is not holds(before, threshold):
-                    self._outdated[0].add(constraint)
+                    self._outdated["constraint"].add(constraint)
         self.value[node] = value
         self.time[node] = time
         self.stale.discard(node)
@@ -357,7 +336,6 @@ class State:
         self.touch([node])
         self.time.pop(node, None)
         self.stale.discard(node)
-        self.reasons.pop(("forecast", node), None)
         self.value.pop(node, None)
         if value is not None:
             self.value[node] = value
@@ -378,16 +356,9 @@ class State:
 
     def due(self, now: float) -> tuple[float, str, Node] | None:
         """Return what time has caused first until now [s]: when, the verb, and of what."""
-        while now >= self.next_due:
-            dues = [(time, node.index, what, node) for (what, node), time in self._due.items()]
-            self.next_due, _, what, node = min(dues, default=(NEVER, 0, "", None))
-            if node is None or now < self.next_due:
-                return None
-            status = self.judged(node, self.next_due)[0].status if what == "dwell" else None
-            if what != "dwell" or status is not self.verdict(node):
-                return self.next_due, what, node
-            self._judge(node, self.next_due)
-        return None
+        dues = [(time, node.index, what, node) for (what, node), time in self._due.items()]
+        self.next_due, _, what, node = min(dues, default=(NEVER, 0, "", None))
+        return None if node is None or now < self.next_due else (self.next_due, what, node)
 
     def _schedule(self, what: str, node: Node, time: float | None) -> None:
         """Note when time changes something of a node next [s]; None is never."""
@@ -428,48 +399,45 @@ class State:
         outdated = self._outdated
         for node in nodes:
             if node.kind == "attribute":
-                outdated[0].update(node.constraints)
+                outdated["constraint"].update(node.constraints)
                 continue
-            outdated[node.level].add(node)
+            outdated[node.kind].add(node)
             if node.kind in ("action", "function"):
                 self.touch(node.requires)
             if node.kind == "function":  # what is obsolete may differ
                 for design in node.requires:
                     for component in design.requires:
-                        outdated[_CONFIGURATION].update(component.requires)
+                        outdated["configuration"].update(component.requires)
             elif node.kind == "function design":
-                outdated[_COMPONENT].update(node.requires)
-                outdated[node.level + 1].update(node.used_by)
+                outdated["component"].update(node.requires)
+                outdated["function"].update(node.used_by)
             elif node.kind == "configuration":
-                outdated[_COMPONENT].update(node.used_by)
+                outdated["component"].update(node.used_by)
 
     def infer(self) -> None:
         """Infer what is outdated. A node stays outdated until all that follows is stored."""
-        lowest = self._outdated[0]  # constraints
-        for level in self._outdated:
+        for level in self._outdated.values():
             while level:
                 node = next(iter(level))
                 new = self._infer(node)
                 old = self.status.get(node)
                 if new is not old:
-                    unset = Status.NOT_EVALUATED if level is lowest else Status.FEASIBLE
-                    self.before.setdefault(node, old or unset)
+                    if old is not None:
+                        self.before.setdefault(node, old)
                     for user in node.used_by:
-                        self._outdated[user.level].add(user)
+                        self._outdated[user.kind].add(user)
                     self.status[node] = new
                 if node.kind in ("function", "component"):
                     _put(self.adaptable, node, _is_adaptable(node, new))
-                if node.kind == "component":
-                    is_active = node in self.active
-                    _put(self._obsolete, node, is_active and not self.serves(node))
-                    is_lacking = not is_active and self.is_required(node)
-                    _put(self._inactive_required, node, is_lacking)
-                elif node.kind in ("configuration", "function design"):
-                    _put(self._obsolete, node, node in self.selected and not self._is_of_use(node))
+                is_chosen = node in self.active or node in self.selected
+                _put(self._obsolete, node, is_chosen and not self._is_of_use(node))
+                is_idle = node.kind == "component" and node not in self.active
+                _put(self._inactive_required, node, is_idle and self.is_required(node))
                 level.discard(node)
 
-    def _is_of_use(self, chosen: Node) -> bool:
-        owner = chosen.used_by[0]
+    def _is_of_use(self, node: Node) -> bool:
+        """Return whether a component, or a part for its owner, can serve what is required."""
+        owner = node if node.kind == "component" else node.used_by[0]
         return self.is_required(owner) if owner.kind == "function" else self.serves(owner)
 
     def _infer(self, node: Node) -> Status:
@@ -518,40 +486,35 @@ class State:
         nodes = {node.element: node for node in network.present()}
         state = self.copy()
         state.network = network
-        for name, content in vars(self).items():
+        for name, content in self.facts().items():
             if isinstance(content, set):
-                vars(state)[name] = {node for key in content if (node := _moved(key, nodes))}
+                vars(state)[name] = {_moved(key, nodes) for key in content}
             elif isinstance(content, dict):
-                vars(state)[name] = {
-                    node: value for key, value in content.items() if (node := _moved(key, nodes))
-                }
+                vars(state)[name] = {_moved(key, nodes): value for key, value in content.items()}
         for element in changed:
             if isinstance(element, Attribute | Constraint):
-                state._restart(nodes[element], now)
+                state.restart(nodes[element], now)
         state.touch(network.present())
         state.infer()
         return state
 
-    def _restart(self, node: Node, now: float) -> None:
-        """Judge constraints as if all that is known of their attribute were the latest value."""
+    def restart(self, node: Node, now: float) -> None:
+        """Judge constraints by what is known of their attribute, whatever they were before."""
         is_attribute = node.kind == "attribute"
         attribute = node if is_attribute else node.requires[0]
         self.stale.discard(attribute)
-        if attribute in self.histories:
-            self.silent_until[attribute] = self.histories[attribute][-1][2] - 1
+        self.silent_until.pop(attribute, None)
         for constraint in attribute.constraints if is_attribute else [node]:
             self.debounced.pop(constraint, None)
-            if constraint in attribute.debounced:
-                self.debounced[constraint] = Debounced()
         self._schedule_attribute(attribute, now)
 
 
 def _moved(key: Any, nodes: Mapping[Any, Node]) -> Any:  # noqa: ANN401  # a node, alone or in a pair
-    """Return a key of facts in another network; None if its element is not there."""
+    """Return a key of facts in another network."""
     if isinstance(key, Node):
-        return nodes.get(key.element)
+        return nodes[key.element]
     word, node = key
-    return (word, nodes[node.element]) if node.element in nodes else None
+    return word, nodes[node.element]
 
 
 def _put(nodes: set[Node], node: Node, is_in: bool) -> None:

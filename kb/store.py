@@ -12,7 +12,7 @@ import sqlite3
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from threading import Condition, Thread
@@ -22,13 +22,12 @@ from typing import Any, Final
 
 from kb.debounce import Debounced
 from kb.events import Event
-from kb.exceptions import InvalidValue, KnowledgeBaseError
+from kb.exceptions import KnowledgeBaseError
 from kb.model import Model, differences
 from kb.network import Network, Node
 from kb.records import (
     Attempt,
     Log,
-    Process,
     ReconfigurationPlan,
     RequiredAction,
     VetoAnswer,
@@ -71,14 +70,11 @@ class Store:
         left: actions that an earlier program left required; a task layer resumes or cancels them.
 
     Raises:
-        InvalidValue: the path is not a path.
         StoreError: the file cannot be opened, is damaged, is no store, is in use, or is the store
             of another model.
     """
 
     def __init__(self, path: str | Path, model: Model, keep: int) -> None:
-        if not isinstance(path, str | Path) or not str(path):
-            raise InvalidValue(f"a store is the path of a file, or None for none, not {path!r}")
         self.path = Path(path)
         self.error: str | None = None
         self.left: tuple[str, ...] = ()
@@ -86,15 +82,14 @@ class Store:
         self._snapshot_number = 0
         self._progress = Condition()
         self._wake = Signal()
-        self._is_stopping = self._is_closed = self._is_given_up = False
+        self._is_stopping = False
         self._owner = os.getpid()
         self._connection = connect(self.path, is_new_allowed=True)
         try:
-            self._read(model)
-        except BaseException as error:
+            with _refusals(self.path):
+                self._read(model)
+        except BaseException:
             self._connection.close()
-            if isinstance(error, sqlite3.Error):
-                raise damaged(self.path, error) from None
             raise
 
     def _read(self, model: Model) -> None:
@@ -121,7 +116,7 @@ class Store:
             then.amend(*json.loads(data)["arguments"])
         if then != model:
             raise StoreError(
-                f"{self.path}: the store is of another model: "
+                f"{self.path}: the store is of another model; only one of the two has "
                 f"{'; '.join(differences(then, model))}. Give that model, or name another file"
             )
 
@@ -193,9 +188,7 @@ class Store:
 
     def _wait(self, number: int, timeout: float | None = None) -> None:
         with self._progress:
-            self._progress.wait_for(
-                lambda: self.saved >= number or self.error or self._is_closed, timeout
-            )
+            self._progress.wait_for(lambda: self.saved >= number or self.error, timeout)
 
     def close(self) -> None:
         """Save all events and close the file.
@@ -211,24 +204,18 @@ class Store:
         self._wake.set()
         self._thread.join()
         unsaved = self._log.last - self.saved
-        if unsaved and not self._is_given_up:
+        if unsaved:
             self._is_stopping = False
             self._begin()
             advice = "are not saved; make room, and close it again"
             raise StoreError(f"{self.error}. {unsaved} events {advice}")
         with suppress(sqlite3.Error):
-            if self.error is None:
-                self._connection.execute(_ABOUT, ("is_open", "0"))
-                self._connection.execute("PRAGMA journal_mode=DELETE")
+            self._connection.execute(_ABOUT, ("is_open", "0"))
+            self._connection.execute("PRAGMA journal_mode=DELETE")
             self._connection.close()
-        with self._progress:
-            self._is_closed = True
-            self._progress.notify_all()
-        if unsaved:
-            raise StoreError(f"{self.error}. {unsaved} events are lost")
 
     def _run(self) -> None:
-        while not self._is_given_up:
+        while True:
             self._wake.wait(_RETRY_S if self.error else None)
             self._wake.clear()
             is_last = self._is_stopping  # nothing is recorded any more but how the store is
@@ -242,37 +229,34 @@ class Store:
 
     def _write(self) -> None:
         """Write the new events; if that fails, the file is as before."""
-        with self._lock:
-            self._log.catch_up()  # what was interrupted ends
+        with self._lock, self._log.reading():  # what was interrupted ends
             last = self._log.last
             batch = list(self._log.since(self.saved))
             snapshot = None
             since = last - self._snapshot_number
             is_long_ago = since >= (1000 if self._is_stopping else _SNAPSHOT_AFTER)
-            if is_long_ago or any(event.verb == "amend" for event in batch):
-                snapshot = json.dumps(encode(self._snapshot(), {}), separators=(",", ":"))
-        was_wrong = self.error is not None
-        if len(batch) != last - self.saved:
-            self._is_given_up = True
-            self._fail("too many events wait to be saved; nothing will be saved any more")
-            return
+            is_forgotten = len(batch) < last - self.saved  # by the log, while nothing was saved
+            if is_long_ago or is_forgotten or any(event.verb == "amend" for event in batch):
+                facts = encode(self._snapshot(), {})
+                snapshot = json.dumps(facts, separators=(",", ":"), default=str)
+        before = self.error
         try:
-            self._commit(batch, last, snapshot)
-        except (sqlite3.Error, OSError) as error:
-            self._fail(f"{error}; it is tried again")
-            return
-        with self._progress:
-            self.saved = last
+            if batch or snapshot is not None:
+                self._commit(batch, last, snapshot)
             self.error = None
+            self.saved = last
+        except (sqlite3.Error, OSError) as error:
+            reason = f"nothing has been saved since event {self.saved}: {error}; it is tried again"
+            self.error = f"{self.path}: {reason}"
+        with self._progress:
             self._progress.notify_all()
-        if was_wrong:
-            self._tell(f"{self.path}: everything is saved again")
+        if (before is None) is not (self.error is None):
+            words = self.error or f"{self.path}: everything is saved again"
+            logging.getLogger(__name__).error(words)
+            self._record_message(words)
 
     def _commit(self, batch: list[Event], last: int, snapshot: str | None) -> None:
-        if not batch and snapshot is None:
-            return
-        connection = self._connection
-        try:
+        with self._connection as connection:  # it commits, or rolls back
             connection.execute("BEGIN")
             rows = [_row(event) for event in batch]
             connection.executemany("INSERT INTO events VALUES (?, ?, ?, ?, ?)", rows)
@@ -280,25 +264,8 @@ class Store:
                 connection.execute("DELETE FROM snapshots")
                 connection.execute("INSERT INTO snapshots VALUES (?, ?)", (last, snapshot))
                 connection.execute(_FORGET_MEASUREMENTS, (self._keep, last))
-            connection.execute("COMMIT")
-        except BaseException:
-            with suppress(sqlite3.Error):
-                connection.execute("ROLLBACK")
-            raise
         if snapshot is not None:
             self._snapshot_number = last
-
-    def _fail(self, reason: str) -> None:
-        is_news = self.error is None or self._is_given_up
-        with self._progress:
-            self.error = f"{self.path}: nothing has been saved since event {self.saved}: {reason}"
-            self._progress.notify_all()
-        if is_news:
-            self._tell(self.error)
-
-    def _tell(self, words: str) -> None:
-        logging.getLogger(__name__).error(words)
-        self._record_message(words)
 
 
 def connect(path: Path, *, is_new_allowed: bool = False) -> sqlite3.Connection:
@@ -309,22 +276,26 @@ def connect(path: Path, *, is_new_allowed: bool = False) -> sqlite3.Connection:
     """
     if not is_new_allowed and not path.exists():
         raise StoreError(f"{path}: there is no such file")
-    if path.is_symlink() or (path.exists() and not path.is_file()):
-        raise StoreError(f"{path}: a store is an ordinary file")
-    connection: sqlite3.Connection | None = None
-    try:
+    with _refusals(path):
         connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=1)
-        _prepare(connection, path)
-    except BaseException as error:
-        if connection is not None:
+        try:
+            _prepare(connection, path)
+        except BaseException:
             connection.close()
-        if isinstance(error, sqlite3.OperationalError):
-            what = "it is in use by another program" if "locked" in str(error) else str(error)
-            raise StoreError(f"{path}: the store cannot be opened: {what}") from None
-        if isinstance(error, sqlite3.DatabaseError):
-            raise damaged(path, error) from None
-        raise
+            raise
     return connection
+
+
+@contextmanager
+def _refusals(path: Path) -> Iterator[None]:
+    """Raise the errors of SQLite as those of a store."""
+    try:
+        yield
+    except sqlite3.OperationalError as error:
+        what = "it is in use by another program" if "locked" in str(error) else str(error)
+        raise StoreError(f"{path}: the store cannot be opened: {what}") from None
+    except sqlite3.DatabaseError as error:
+        raise damaged(path, error) from None
 
 
 def _prepare(connection: sqlite3.Connection, path: Path) -> None:
@@ -371,19 +342,14 @@ def store_info(path: Path) -> dict[str, object]:
     Raises:
         StoreError: it cannot be opened, or is damaged.
     """
-    with closing(connect(path)) as connection:
-        try:
-            check_integrity(connection, path)
-            about = dict(connection.execute("SELECT name, value FROM about"))
-            counts = connection.execute(
-                "SELECT verb, count(*) FROM events GROUP BY verb ORDER BY verb"
-            )
-            kept = ", ".join(f"{count} {verb}" for verb, count in counts)
-            ((last, first_time, last_time),) = connection.execute(
-                "SELECT max(number), min(time), max(time) FROM events"
-            )
-        except sqlite3.Error as error:
-            raise damaged(path, error) from None
+    with closing(connect(path)) as connection, _refusals(path):
+        check_integrity(connection, path)
+        about = dict(connection.execute("SELECT name, value FROM about"))
+        counts = connection.execute("SELECT verb, count(*) FROM events GROUP BY verb ORDER BY verb")
+        kept = ", ".join(f"{count} {verb}" for verb, count in counts)
+        ((last, first_time, last_time),) = connection.execute(
+            "SELECT max(number), min(time), max(time) FROM events"
+        )
         connection.execute("PRAGMA journal_mode=DELETE")
     model = json.loads(about.get("model", "[]"))
     return {
@@ -421,7 +387,7 @@ _CLASSES: Final = {
     cls.__name__: cls
     for cls in (
         *(Status, Debounced, Reason),
-        *(RequiredAction, ReconfigurationPlan, Process, Attempt, VetoAnswer),
+        *(RequiredAction, ReconfigurationPlan, Attempt, VetoAnswer),
     )
 }
 """The classes of which facts are made, beside the plain ones."""
@@ -483,6 +449,5 @@ def _row(event: Event) -> tuple[int, float, str, str, str]:
     values.pop("changes", None)  # they follow again
     if event.plan is not None:
         values["plan"] = encode(replace(event.plan, end=None, result=None), {})
-    subject = event.subject.encode("utf-8", "replace").decode()
-    data = json.dumps(values, separators=(",", ":"))
-    return event.number, float(event.time), event.verb, subject, data
+    data = json.dumps(values, separators=(",", ":"), default=str)
+    return event.number, float(event.time), event.verb, event.subject, data

@@ -6,15 +6,15 @@ start. `typeql.toml` has ROSA's types, roles and attributes, and the fields that
 `match ... insert` finds things of earlier files by their attributes.
 """
 
+import dataclasses
 import re
 import tomllib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, TypeGuard, TypeVar
+from typing import Any, Final, TypeVar
 
 from lark import Lark, Token, Tree, UnexpectedInput, UnexpectedToken
 
@@ -28,7 +28,7 @@ Query = Any  # a tree of lark
 _ROSA: Final = tomllib.loads(Path(__file__).with_name("typeql.toml").read_text(encoding="utf-8"))
 _TYPES: Final[Mapping[str, str]] = _ROSA["types"]
 _WORDS: Final[Mapping[str, Mapping[str, str]]] = _ROSA["words"]
-_STATED: Final[Mapping[str, Callable[[Any], Any]]] = {
+_STATED: Final[Mapping[str, type]] = {
     "is-required": elements.RequiredFact,
     "is-selected": elements.SelectedFact,
     "is-active": elements.ActiveFact,
@@ -83,24 +83,22 @@ def _literal(word: Token, place: Place) -> bool | int | float | str:
         raise place.error(f"`{text:.40}` is not a value: {error!s:.60}") from None
 
 
-@dataclass(slots=True, eq=False)
+@dataclasses.dataclass(eq=False)
 class Thing:
     """An entity or relation that a file states: its kind, and its attributes and players."""
 
     kind: str
     place: Place
-    fields: dict[str, Any] = field(default_factory=dict)
+    fields: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
-def load_typeql(
-    cls: "Callable[[str], ModelT]", files: Sequence[Path], name: str | None
-) -> "ModelT":
+def load_typeql(cls: "Callable[[str], ModelT]", files: Sequence[Path]) -> "ModelT":
     """Read one model from files; each may add to those before it. See `Model.load`."""
     builder = _Builder()
     for file in files:
         for query in parse(read_text(file), str(file)):
             builder.insert(query, str(file))
-    model = cls(name or files[0].stem)
+    model = cls(files[0].stem)
     builder.build(model)
     return model
 
@@ -147,7 +145,9 @@ class _Builder:
 
         def resolve(variable: Token) -> Thing:
             if variable not in variables:
-                unknown = UnknownName("variable", str(variable), filter(_is_text, variables))
+                unknown = UnknownName(
+                    "variable", str(variable), [key for key in variables if isinstance(key, str)]
+                )
                 what = f"{unknown}; a type is given by `{variable} isa ...`"
                 raise _place(file, variable).error(what)
             return variables[variable]
@@ -194,6 +194,9 @@ class _Builder:
     # ---------------------------------------------------------------- a model
 
     def build(self, model: elements.Owner) -> None:
+        for kind in ("reconfiguration-plan", "component-process"):
+            for thing in self._things[kind]:
+                self._notes.append(f"{thing.place}: a model has no {kind}; ignored")
         model.notes.extend(self._notes)
         for cls, words in elements.ROSA.items():
             for thing in self._things[words.replace(" ", "-")]:
@@ -217,10 +220,6 @@ class _Builder:
                 each["attribute"] for each in stated if each["latest"]
             ]
             values.setdefault("latest", is_latest)
-        elif cls is elements.PlanFact:
-            for step in values.pop("steps", ()):
-                for name, players in step.fields.items():
-                    values[name] = [*values.get(name, ()), *players]
         values = {name: self._element(value, thing) for name, value in values.items()}
         if "preference" in values:
             values["preference"] = {each.name: 1.0 for each in values["preference"]}
@@ -231,11 +230,11 @@ class _Builder:
             self._elements[thing] = element
             model.places[element] = str(thing.place)
         if status is not None:
-            model.add_fact(elements.StatusFact(element, status))
+            model.state(elements.StatusFact, {"element": element, "status": status})
         for name, value in flags.items():
             if elements.flag(name, value):
-                subject = element.name if name == "is-active" else element
-                model.add_fact(_STATED[name](subject))
+                field = "component" if name == "is-active" else "element"
+                model.state(_STATED[name], {field: element})
 
     def _element(self, value: Any, thing: Thing) -> Any:  # noqa: ANN401  # of any field
         """Return the value of a field with elements in place of the things that became these."""
@@ -250,10 +249,6 @@ class _Builder:
 
 def _place(file: str, word: Token) -> Place:
     return Place(file, word.line or 1, word.column or 1)
-
-
-def _is_text(value: object) -> TypeGuard[str]:
-    return isinstance(value, str)
 
 
 def _thing(label: Token, file: str) -> Thing:

@@ -12,7 +12,6 @@ from typing import Any, Generic, Protocol, TypeVar
 from kb.elements import KINDS, Parameters
 from kb.network import Node, Ref
 from kb.state import State
-from kb.status import Status
 
 T = TypeVar("T")
 
@@ -23,10 +22,6 @@ class Readable(Protocol):
     @property
     def now(self) -> float:
         """The time by the clock [s]."""
-
-    @property
-    def forecast(self) -> Any:  # noqa: ANN401  # a `Forecaster`, which is made of views
-        """The forecaster, which predicts attributes."""
 
     def reading(self) -> AbstractContextManager[State]:
         """Give the facts and statuses, to be read only; nothing changes within the `with`."""
@@ -92,18 +87,10 @@ def _parts(_: State, node: Node) -> tuple[str, ...]:
     return tuple(part.name for part in node.requires)
 
 
-def _selected(state: State, node: Node) -> str | None:
-    return next((part.name for part in node.requires if part in state.selected), None)
-
-
-def _history(state: State, node: Node) -> tuple[tuple[float, float], ...]:
-    return tuple((time, value) for time, value, _ in tuple(state.histories.get(node, ())))
-
-
 class _StatusView(ElementView):
     __slots__ = ()
 
-    status = Known[Status](lambda state, node: state.status[node])
+    status = Known(lambda state, node: state.status[node])
 
 
 class ConstraintView(_StatusView):
@@ -124,7 +111,7 @@ class _ConstrainableView(_StatusView):
 class _RequirableView(_ConstrainableView):
     __slots__ = ()
 
-    is_required = Known[bool](State.is_required)
+    is_required = Known(State.is_required)
 
 
 class ActionView(_RequirableView):
@@ -149,10 +136,14 @@ class ComponentView(_RequirableView):
 
     __slots__ = ()
 
-    is_active = Known[bool](lambda state, node: node in state.active)
+    is_active = Known(lambda state, node: node in state.active)
     configurations = Known(_parts)
 
-    selected_configuration = Known(_selected)
+    selected_configuration = Known(
+        lambda state, node: next(
+            (part.name for part in node.requires if part in state.selected), None
+        )
+    )
     """Name of the selected configuration; None if none is selected."""
     parameters_in_force = Known[Parameters](
         lambda state, node: state.parameters.get(node) or MappingProxyType({})
@@ -163,8 +154,8 @@ class ComponentView(_RequirableView):
 class _SelectableView(_ConstrainableView):
     __slots__ = ()
 
-    is_selected = Known[bool](lambda state, node: node in state.selected)
-    reason = Known[str](lambda state, node: state.reason("selected", node).text)
+    is_selected = Known(lambda state, node: node in state.selected)
+    reason = Known(lambda state, node: state.reason("selected", node).text)
     """The reason that was given with its selection; empty without one."""
 
 
@@ -188,11 +179,13 @@ class AttributeView(ElementView):
 
     __slots__ = ()
 
-    value = Known[float | None](lambda state, node: state.value.get(node))
-    time = Known[float | None](lambda state, node: state.time.get(node))
-    is_stale = Known[bool](lambda state, node: node in state.stale)
+    value = Known(lambda state, node: state.value.get(node))
+    time = Known(lambda state, node: state.time.get(node))
+    is_stale = Known(lambda state, node: node in state.stale)
 
-    history = Known(_history)
+    history = Known(
+        lambda state, node: tuple(row[:2] for row in tuple(state.histories.get(node, ())))
+    )
     """The newest measurements as (time [s], value), in order of time."""
 
 
@@ -229,7 +222,7 @@ class Views(Mapping[str, ViewT]):
 
 
 class ViewsOf(Generic[ViewT]):
-    """A property of a base: the views of one kind, made anew so that nothing refers to itself.
+    """A property of a situation: the views of one kind, made anew so that nothing refers to itself.
 
     So a situation is freed at once when nobody needs it.
     """

@@ -35,7 +35,6 @@ COMMANDS: Final = {
         "recordings:replay",
         "Decide again what was recorded, and exit with 1 if that differs.",
     ),
-    "record": ("recordings:record", "Look at a recording, or put it in another form."),
     "check": ("check:check", "Judge a model, and say what to do about each finding."),
     "plan": (
         "plan:plan",

@@ -3,16 +3,15 @@
 import math
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import suppress
-from weakref import WeakSet
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation, PortsMixin
 
-from kb import InvalidValue, KnowledgeBase
-from kb.elements import meant_by
-from kb.status import OPERATORS, STATUSES
-from kb.views import ActionView, ComponentView, ConfigurationView, DesignView, FunctionView
+from kb import KnowledgeBase
+from kb.elements import meant_by, status_of
+from kb.status import OPERATORS
+from kb.views import ElementView
 from rosa_bt.exceptions import report
 from rosa_bt.requests import (
     FAILURE,
@@ -26,8 +25,6 @@ from rosa_bt.requests import (
 
 Ticking = Generator[Behaviour, None, Status]
 """Yields the nodes that are visited, as `tick` of py_trees does, and returns the outcome."""
-StatusView = ActionView | FunctionView | ComponentView | DesignView | ConfigurationView
-"""A view of an element that has a name and a status."""
 
 
 def halt(root: Behaviour) -> None:
@@ -44,17 +41,13 @@ class _EndedBadly(Exception):
     """A behaviour raised when it was stopped after SUCCESS or FAILURE; that is reported already."""
 
 
-_guarded: WeakSet[Behaviour] = WeakSet()
-
-
 def guard(behaviour: Behaviour) -> None:
     """Wrap a behaviour, for good: when it raises, it fails, and its children are stopped.
 
     If it raises while it is interrupted, the interruption goes on.
     """
-    if behaviour in _guarded:
+    if "tick" in vars(behaviour):  # it is wrapped already
         return
-    _guarded.add(behaviour)
     tick = behaviour.tick
     stop = behaviour.stop
 
@@ -85,6 +78,14 @@ def guard(behaviour: Behaviour) -> None:
     vars(behaviour).update(tick=guarded_tick, stop=guarded_stop)
 
 
+def finish(behaviour: Behaviour, new_status: Status) -> None:
+    """Give a behaviour the status of this tick, and stop it if that is an end."""
+    if new_status is RUNNING:
+        behaviour.status = new_status
+    else:
+        behaviour.stop(new_status)
+
+
 class KbBehaviour(Behaviour):
     """A leaf that uses a knowledge base.
 
@@ -102,8 +103,9 @@ class KbBehaviour(Behaviour):
     def tick(self) -> Iterator[Behaviour]:
         with self.kb.reading():  # all is answered at one moment, which the trace can name
             self.last_event = self.kb.log.last
-            visited = [*super().tick()]
-        yield from visited
+            new_status = self.update()
+        finish(self, new_status)
+        yield self
 
     def _answer(self, objection: str) -> Status:
         """Return SUCCESS if there is no objection, else FAILURE; it becomes the feedback."""
@@ -171,11 +173,11 @@ class HasStatus(KbBehaviour):
     """
 
     def __init__(
-        self, name: str, kb: KnowledgeBase, element: str | StatusView, status: str
+        self, name: str, kb: KnowledgeBase, element: str | ElementView, status: str
     ) -> None:
         super().__init__(name, kb)
         if isinstance(element, str):
-            tables: dict[str, Mapping[str, StatusView]] = {
+            tables: dict[str, Mapping[str, ElementView]] = {
                 "action": kb.actions,
                 "function": kb.functions,
                 "component": kb.components,
@@ -183,12 +185,8 @@ class HasStatus(KbBehaviour):
                 "configuration": kb.configurations,
             }
             element = meant_by(element, tables, "element", "pass the view meant, e.g. kb.")
-        kind = element.node.kind
-        if status not in STATUSES[kind]:
-            possible = ", ".join(repr(str(status)) for status in STATUSES[kind])
-            raise InvalidValue(f"{kind} {element.name!r} is never {status!r}; it can be {possible}")
         self.element = element
-        self.wanted = status
+        self.wanted = status_of(element.node.kind, status)
 
     def update(self) -> Status:
         status = self.element.status
@@ -232,11 +230,9 @@ class Measurement(KbBehaviour):
     def update(self) -> Status:
         name = self.attribute.name
         measured = self.attribute.value
-        if measured is None:
-            self.feedback_message = f"{name} is not measured"
-            return self._unknown
-        if self.attribute.is_stale:
-            self.feedback_message = f"{name} is not measured any more"
+        if measured is None or self.attribute.is_stale:
+            when = "yet" if measured is None else "any more"
+            self.feedback_message = f"{name} is not measured {when}"
             return self._unknown
         holds = OPERATORS[self.operator](measured, self.value)
         violation = f"{name} {measured:.6g} is not {self.operator} {self.value:.6g}"
@@ -263,10 +259,7 @@ class Requester(Behaviour):
             new_status = self._rosa_request.admit()
             if new_status is SUCCESS:
                 new_status = yield from self._rosa_work()
-            if new_status is RUNNING:
-                self.status = new_status
-            else:
-                self.stop(new_status)
+            finish(self, new_status)
         except Exception:
             raise  # the guard fails it
         except BaseException:

@@ -1,7 +1,6 @@
 """The idioms of missions that adapt: two composites, and subtrees that are made in one call."""
 
-from collections.abc import Iterator, Mapping, MutableMapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
 
 from py_trees import composites
 from py_trees.behaviour import Behaviour
@@ -21,14 +20,14 @@ from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS, is_parallel
 
 
 def failed_as_unfeasible(task: Behaviour) -> bool:
-    """Tell whether a task failed because an action in it is unfeasible, or no longer in the model.
+    """Tell whether a task failed because an action in it is unfeasible.
 
     The child that failed last decides, e.g. the failed step of a sequence; of a parallel, all
     children that failed.
     """
     failed = [child for child in task.children if child.status is FAILURE]
     if isinstance(task, ActionBehaviour | ForAction):
-        is_unfeasible = task.action not in task.kb.actions or not task.kb.is_feasible(task.action)
+        is_unfeasible = not task.kb.is_feasible(task.action)
         if is_unfeasible or not failed:
             return is_unfeasible
     deciding = failed if is_parallel(task) else failed[-1:]
@@ -100,11 +99,6 @@ class DoUntilUnfeasible(_RoleComposite):
                 return
 
 
-LastAction = MutableMapping[str, Any]
-"""Holds the action that was done last; shared by the behaviours of all actions."""
-_LAST = "last_action"
-
-
 class SafeSwitch(_RoleComposite):
     """Does an action, and before it the transition from the action that was done last, if any.
 
@@ -115,39 +109,34 @@ class SafeSwitch(_RoleComposite):
     Args:
         task: the behaviour that does the action.
         transitions: what to do first, by name of the action that was done last.
-        last_action: holds the action that was done last.
-        action: name of the action, if the task is neither a leaf with an action nor a `ForAction`.
+        last_action: the action that was done last, one for all switches of a tree.
     """
 
     def __init__(
         self,
-        name: str,
-        task: Behaviour,
+        task: RosaAction | ForAction,
         transitions: Mapping[str, Behaviour],
-        last_action: LastAction,
-        action: str | None = None,
+        last_action: list[str],
     ) -> None:
-        super().__init__(name, [*transitions.values(), task])
-        self.action = task.action if isinstance(task, ActionBehaviour | ForAction) else str(action)
+        verb = "switch to" if transitions else "note"
+        super().__init__(f"{verb} {task.action}", [*transitions.values(), task])
+        self.action = task.action
         self.last_action = last_action
         self.after = tuple(transitions)
 
     def advance(self) -> Ticking:
-        before = self.last_action.get(_LAST)
+        (before,) = self.last_action
         task = self.children[-1]
         if before in self.after:
             transition = self.current_child = self.children[self.after.index(before)]
             yield from transition.tick()
-            feedback = f"switching from {before}: {transition.feedback_message}"
-            self.feedback_message = feedback.removesuffix(": ")
             if transition.status is not SUCCESS:
                 return transition.status
-            self.last_action[_LAST] = self.action
+            self.last_action[0] = self.action
         self.current_child = task
         yield from task.tick()
-        self.feedback_message = task.feedback_message
         if task.status is not FAILURE:
-            self.last_action[_LAST] = self.action
+            self.last_action[0] = self.action
         return task.status
 
 
@@ -188,10 +177,6 @@ def do_until_unfeasible(
         memory: finish `meanwhile` first, even if the task becomes feasible earlier.
         name: of the composite.
     """
-    for part in (task, meanwhile):
-        if not isinstance(part, Behaviour):
-            hint = "put several in a Sequence or a Selector"
-            raise TypeError(f"do_until_unfeasible takes behaviours, not {part!r}; {hint}")
     name = name or f"{task.name}, or else {meanwhile.name}"
     parts = feasible_then_act(task), feasible_then_act(meanwhile)
     return DoUntilUnfeasible(name, *parts, memory=memory)
@@ -218,57 +203,40 @@ def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behavio
     names = sorted({task.action for task in tasks})
     steps_by_action: dict[str, dict[str, Behaviour]] = {}
     for (before, after), step in transitions.items():
-        for action in (before, after):
-            if action not in names:
-                raise UnknownName("action of the tree", action, names)
-            steps_by_action.setdefault(action, {})
-        steps_by_action[after][before] = step
+        steps_by_action.setdefault(before, {})
+        steps_by_action.setdefault(after, {})[before] = step
+    for action in steps_by_action:
+        if action not in names:
+            raise UnknownName("action of the tree", action, names)
     tasks = [task for task in tasks if task.action in steps_by_action]
     for task in tasks:
-        _check_switch(task, tasks, bool(steps_by_action[task.action]))
-    last_action: LastAction = {}
+        same = sum(other.action == task.action for other in tasks)
+        if same > 1 and steps_by_action[task.action]:
+            many = f"{same} behaviours do {task.action!r}, and a transition has one place"
+            raise TreeChangeError(f"{many}; make one subtree of them")
+        _check_parents(task)
+    last_action = [""]
     for task in tasks:
-        root = _switched(root, task, steps_by_action[task.action], last_action)
+        parent = task.parent
+        task.parent = None
+        switch = SafeSwitch(task, steps_by_action[task.action], last_action)
+        if parent is None:
+            return switch
+        parent.children[parent.children.index(task)] = switch
+        switch.parent = parent
+        if isinstance(parent, Decorator):
+            parent.decorated = switch
     return root
 
 
-def _check_switch(
-    task: RosaAction | ForAction, tasks: Sequence[RosaAction | ForAction], needs_step: bool
-) -> None:
-    """Raise if no transition to this action can be added."""
-    same = sum(other.action == task.action for other in tasks)
-    if needs_step and same > 1:
-        raise TreeChangeError(
-            f"{same} behaviours do {task.action!r}, and a transition has one place; "
-            "make one subtree of them"
-        )
-    parent = task.parent
-    if parent is not None and not isinstance(parent, composites.Composite | Decorator):
-        raise TreeChangeError(
-            f"{parent.name!r} is neither a composite nor a decorator; it cannot hold a transition"
-        )
+def _check_parents(task: Behaviour) -> None:
+    """Raise if no transition can be put before a task."""
     for node in path_of(task)[1:]:
+        problem = ""
         if is_parallel(node) or isinstance(node, Requester):
-            reason = "its actions run at the same time, so none of them is done last"
-            raise TreeChangeError(
-                f"{task.name!r} is below {node.name!r}: {reason}; put the transition into the tree"
-            )
-
-
-def _switched(
-    root: Behaviour,
-    task: RosaAction | ForAction,
-    steps: Mapping[str, Behaviour],
-    last_action: LastAction,
-) -> Behaviour:
-    parent = task.parent
-    task.parent = None
-    name = f"switch to {task.action}" if steps else f"note {task.action}"
-    switch = SafeSwitch(name, task, steps, last_action)
-    if parent is None:
-        return switch
-    parent.children[parent.children.index(task)] = switch
-    switch.parent = parent
-    if isinstance(parent, Decorator):
-        parent.decorated = switch
-    return root
+            problem = "its actions run at the same time, so none of them is done last"
+        elif not isinstance(node, composites.Composite | Decorator):
+            problem = "it is neither a composite nor a decorator of py_trees"
+        if problem:
+            place = f"{task.name!r} is below {node.name!r}"
+            raise TreeChangeError(f"{place}: {problem}; put the transition into the tree")

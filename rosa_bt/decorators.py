@@ -25,7 +25,15 @@ ROUNDING_S = 1e-9
 """A time is over if less than this is left of it [s]."""
 
 
-class ForAction(Requester, Decorator):
+class PassingOn(Decorator):
+    """Has the status and the feedback of its child; base class."""
+
+    def update(self) -> Status:
+        self.feedback_message = self.decorated.feedback_message
+        return self.decorated.status
+
+
+class ForAction(Requester, PassingOn):
     """Ticks any behaviour only while a ROSA action is feasible, and requests the action meanwhile.
 
     Each tick asks whether the action is feasible. If it is not, the child is stopped, and this
@@ -39,7 +47,6 @@ class ForAction(Requester, Decorator):
         preference: name of the attribute to favour when a configuration is chosen, or None.
         wait: tick the child only when the robot is configured for the action; RUNNING until then.
         timeout: how long to wait [s], by the clock of the knowledge base; then FAILURE.
-        exclusive: begin only when every interrupted action has halted.
 
     Raises:
         kb.UnknownName: no such action; the message lists the nearest ones.
@@ -55,7 +62,6 @@ class ForAction(Requester, Decorator):
         preference: str | None = None,
         wait: bool = False,
         timeout: float = math.inf,
-        exclusive: bool = False,
     ) -> None:
         super().__init__(name, child)
         kb.is_feasible(action)  # raises now, not during a mission, if it is unknown
@@ -64,17 +70,12 @@ class ForAction(Requester, Decorator):
         self.preference = preference
         self.wait = wait
         self.timeout = timeout
-        self.exclusive = exclusive
         self._rosa_request = ActionRequest(self, kb)
         guard(self)
 
     def _rosa_work(self) -> Ticking:
         yield from self.decorated.tick()
         return self.update()
-
-    def update(self) -> Status:
-        self.feedback_message = self.decorated.feedback_message
-        return self.decorated.status
 
     def stop(self, new_status: Status) -> None:
         """Release the request, and stop the child if it is running.
@@ -121,6 +122,7 @@ class Timed(ClockFollower):
     _since = -math.inf
 
     def initialise(self) -> None:
+        super().initialise()
         self._since = self._clock()
 
     def is_over(self, duration: float) -> bool:
@@ -137,24 +139,18 @@ class Timer(Timed, py_trees.timers.Timer):
         return SUCCESS if is_over else RUNNING
 
 
-class Timeout(Timed, py_trees.decorators.Timeout):
+class Timeout(PassingOn, Timed, py_trees.decorators.Timeout):
     """Stops the child, and fails, if it is RUNNING after a duration [s]."""
 
-    def tick(self) -> Iterator[Behaviour]:
-        is_late = self.status is RUNNING and self.is_over(self.duration)
-        if is_late and self.decorated.status is RUNNING:
-            self.feedback_message = f"{self.decorated.name} takes more than {self.duration:g} s"
-            self.stop(FAILURE)
-            yield self
-        else:
-            yield from super().tick()
-
     def update(self) -> Status:
-        self.feedback_message = self.decorated.feedback_message
-        return self.decorated.status
+        new_status = super().update()
+        if new_status is RUNNING and self.is_over(self.duration):
+            self.feedback_message = f"{self.decorated.name} takes more than {self.duration:g} s"
+            return FAILURE
+        return new_status
 
 
-class Delay(Timed, Decorator):
+class Delay(PassingOn, Timed):
     """RUNNING for a duration [s]; then ticks the child."""
 
     def __init__(self, name: str, child: Behaviour, duration: float) -> None:
@@ -164,17 +160,12 @@ class Delay(Timed, Decorator):
     def tick(self) -> Iterator[Behaviour]:
         if self.status is not RUNNING:
             self.initialise()
+            self.status = RUNNING
         if self.is_over(self.duration):
-            self.status = RUNNING  # it has started
             yield from super().tick()
         else:
             self.feedback_message = f"{self.decorated.name} begins after {self.duration:g} s"
-            self.status = RUNNING
             yield self
-
-    def update(self) -> Status:
-        self.feedback_message = self.decorated.feedback_message
-        return self.decorated.status
 
 
 class Retry(Timed, py_trees.decorators.Retry):
@@ -185,11 +176,7 @@ class Retry(Timed, py_trees.decorators.Retry):
 
     def __init__(self, name: str, child: Behaviour, num_failures: int, pause: float = 0.0) -> None:
         super().__init__(name, child, num_failures)
-        self.num_failures = num_failures
         self.pause = pause
-
-    def initialise(self) -> None:
-        py_trees.decorators.Retry.initialise(self)
 
     def tick(self) -> Iterator[Behaviour]:
         has_failed = self.status is RUNNING and self.decorated.status is FAILURE
@@ -223,6 +210,7 @@ def follow_clock(behaviour: Behaviour, clock: Clock) -> None:
         behaviour.follow(clock)
     elif isinstance(behaviour, tuple(_BY_CLOCK)):
         kind = type(behaviour).__name__
-        problem = f"{kind} {behaviour.name!r} counts by the clock of this computer"
-        advice = "derive it from rosa_bt.Timeout or rosa_bt.Timer, which follow the runner's"
-        raise TreeChangeError(f"{problem}; {advice}")
+        raise TreeChangeError(
+            f"{kind} {behaviour.name!r} counts by the clock of this computer; "
+            "derive it from rosa_bt.Timeout or rosa_bt.Timer, which follow the runner's"
+        )

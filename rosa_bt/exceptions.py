@@ -2,13 +2,14 @@
 
 import logging
 from collections.abc import Iterable
-from difflib import get_close_matches
 from pathlib import Path
 from sys import stdlib_module_names
 from traceback import walk_tb
 from weakref import WeakKeyDictionary
 
 from py_trees.behaviour import Behaviour
+
+from kb import UnknownName
 
 _log = logging.getLogger(__name__)
 _OURS = ("kb", "rosa_bt", "rosa_pddl", "missions", "py_trees")
@@ -46,14 +47,8 @@ class ExportError(RosaBtError, ValueError):
 
 
 def hint(name: str, names: Iterable[str], what: str) -> str:
-    """Return the end of a message about an unknown name: similar names, and those that exist."""
-    existing = sorted(names)
-    if not existing:
-        return f"there are no {what}"
-    similar = get_close_matches(name, existing, n=3)
-    shown = ", ".join(existing[:20]) + (", ..." if len(existing) > 20 else "")
-    guess = f"did you mean {' or '.join(map(repr, similar))}? " if similar else ""
-    return f"{guess}{what}: {shown}"
+    """Return the end of a message about an unknown name: similar names, or those that exist."""
+    return str(UnknownName(what, name, names)).rpartition("; ")[2]
 
 
 def in_words(error: Exception) -> str:

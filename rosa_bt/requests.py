@@ -15,7 +15,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.composites import Parallel
 
-from kb import KnowledgeBase, UnknownName
+from kb import KnowledgeBase
 from kb import Status as ElementStatus
 from rosa_bt.exceptions import path_of, report
 
@@ -57,8 +57,7 @@ def requests_of(kb: KnowledgeBase) -> Requests:
         _requests[kb] = Requests()
         for action in kb.store.left if kb.store is not None else ():
             if action in kb.actions:
-                ended = "the program that requested it has ended"
-                kb.cancel_action(action, "abandoned", ended)
+                kb.cancel_action(action, "abandoned", "the program that requested it has ended")
     return _requests[kb]
 
 
@@ -87,7 +86,7 @@ def why(kb: KnowledgeBase, action: str) -> str:
 def components_of(kb: KnowledgeBase, action: str) -> set[str]:
     """Return the components of all designs of the functions that an action requires."""
     components = set[str]()
-    for function in kb.actions[action].functions if action in kb.actions else ():
+    for function in kb.actions[action].functions:
         for design in kb.functions[function].designs:
             components.update(kb.designs[design].components)
     return components
@@ -116,9 +115,6 @@ class ActionRequest:
     """
 
     def __init__(self, owner: Any, kb: KnowledgeBase) -> None:  # noqa: ANN401  # a Requester
-        if not owner.timeout > 0:
-            problem = f"a time-out is more than 0 s, or math.inf for none; not {owner.timeout!r}"
-            raise ValueError(problem)
         self.owner = owner
         self._kb = kb
         self._requests = requests_of(kb)
@@ -177,10 +173,7 @@ class ActionRequest:
 
     def _objection(self, action: str) -> str:
         """Return why an action cannot begin or go on; empty if it can."""
-        try:
-            return "" if self._kb.is_feasible(action) else why(self._kb, action)
-        except UnknownName:
-            return f"{action} is no longer in the model"
+        return "" if self._kb.is_feasible(action) else why(self._kb, action)
 
     def _lacking(self, action: str) -> str:
         """Return why the robot is not configured for the action; empty if it is."""
@@ -201,18 +194,12 @@ class ActionRequest:
         if action is None:
             return
         is_last = [*self._requests.open.values()].count(action) == 1
-        if is_last and action in self._kb.actions:  # removing an action cancels its request
+        if is_last:
             if status is INVALID:
-                reason = reason or self._unfeasibility(action)
-            result = _RESULTS[status]
-            self._kb.cancel_action(action, result, "" if status is SUCCESS else reason)
+                reason = reason or self._objection(action)
+            reason = "" if status is SUCCESS else reason
+            self._kb.cancel_action(action, _RESULTS[status], reason)
         self._requests.open.pop(self, None)
-
-    def _unfeasibility(self, action: str) -> str:
-        """Return why an action is unfeasible, with the ages of now; empty if it is feasible."""
-        kb = self._kb
-        is_unfeasible = action in kb.actions and not kb.is_feasible(action)
-        return kb.why(kb.actions[action]) if is_unfeasible else ""
 
     def _blocking(self, action: str) -> str:
         """Return what an action has to wait for before it is requested; empty if for nothing."""
@@ -223,8 +210,8 @@ class ActionRequest:
             owner = request.owner
             is_leaving = request.is_halting or self._displaces(request)
             if is_leaving and (request is self or self._excludes(request, action)):
-                detail = f": {owner.feedback_message}" if owner.feedback_message else ""
-                return f"waiting until {owner.name} has halted{detail}"
+                waiting = f"waiting until {owner.name} has halted: {owner.feedback_message}"
+                return waiting.removesuffix(": ")
         return ""
 
     def _excludes(self, other: "ActionRequest", action: str) -> bool:
@@ -252,7 +239,7 @@ class ActionRequest:
         requests = self._requests
         if self in requests.open and not self.is_halting:
             self._halting_since = requests.advanced_at = self._kb.now
-            requests.halting[self] = self._unfeasibility(requests.open[self])
+            requests.halting[self] = self._objection(requests.open[self])
             self.advance_halting()
 
     def advance_halting(self) -> None:
@@ -266,8 +253,8 @@ class ActionRequest:
         if is_over:
             self.end_halting("")
         elif self._kb.now - self._halting_since >= owner.halting_timeout - 1e-9:
-            detail = f": {owner.feedback_message}" if owner.feedback_message else ""
-            reason = f"{owner.name} did not halt within {owner.halting_timeout:g} s{detail}"
+            late = f"{owner.name} did not halt within {owner.halting_timeout:g} s"
+            reason = f"{late}: {owner.feedback_message}".removesuffix(": ")
             _log.error("%s", reason)
             self.end_halting(reason)
 

@@ -2,30 +2,23 @@
 
 import logging
 from collections.abc import Callable
-from html import escape
 from typing import Any, Literal
 
 from py_trees.behaviour import Behaviour
-from py_trees.common import Duration, Status
+from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
 from py_trees.trees import BehaviourTree
-from py_trees.visitors import VisitorBase
 
 from kb import KnowledgeBase
 from rosa_bt.behaviours import KbBehaviour, RosaAction, guard, halt
 from rosa_bt.decorators import Clock, ForAction, follow_clock
-from rosa_bt.display import ascii_tree
 from rosa_bt.exceptions import ClockError, errors_of, report
 from rosa_bt.requests import SUCCESS, advance_halting, end_halting, forget_progress, requests_of
 
 _log = logging.getLogger(__name__)
+_ON_ERROR = ("fail", "raise")
+_ON_CLOCK_SET_BACK = ("follow", "refuse")
 Handler = Callable[[BehaviourTree], None]
-
-
-def _check_choice(argument: str, value: str, choices: tuple[str, ...]) -> None:
-    """Raise a ValueError unless a value is one of the choices."""
-    if value not in choices:
-        raise ValueError(f"{argument} is {' or '.join(map(repr, choices))}, not {value!r}")
 
 
 class TreeRunner(BehaviourTree):
@@ -66,10 +59,9 @@ class TreeRunner(BehaviourTree):
     ) -> None:
         if not period > 0:
             raise ValueError(f"the period of a tree is more than 0 s, not {period!r}")
-        if not callable(clock):
-            raise TypeError(f"clock is a function that returns the time [s], not {clock!r}")
-        _check_choice("on_error", on_error, ("fail", "raise"))
-        _check_choice("on_clock_set_back", on_clock_set_back, ("follow", "refuse"))
+        for choice, choices in ((on_error, _ON_ERROR), (on_clock_set_back, _ON_CLOCK_SET_BACK)):
+            if choice not in choices:
+                raise ValueError(f"{choice!r} is none of {', '.join(choices)}")
         super().__init__(root)
         self.errors = errors_of(root)
         self._clock = clock
@@ -81,16 +73,11 @@ class TreeRunner(BehaviourTree):
         self._ticks = 0
         self._is_stopped = False
         self._nodes: list[Behaviour] = []
+        self._children: list[list[Behaviour]] | None = None
         self._bases: dict[KnowledgeBase, None] = {}
         self._setup_arguments: dict[str, Any] | None = None
-        watch = VisitorBase()
-        vars(watch).update(initialise=self._begin_tick, run=self._raise_error)
-        self.add_visitor(watch)
         self._take_all()
         self._forget_progress()
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{escape(ascii_tree(self.root))}</pre>"
 
     @property
     def tree(self) -> BehaviourTree:
@@ -112,19 +99,14 @@ class TreeRunner(BehaviourTree):
         """Whether an interrupted action of the tree's knowledge bases still halts."""
         return any(requests_of(kb).halting for kb in self._bases)
 
-    def setup(
-        self,
-        timeout: float | Duration = Duration.INFINITE,
-        visitor: VisitorBase | None = None,
-        **kwargs: Any,  # noqa: ANN401  # as py_trees has it
-    ) -> None:
-        """Call `setup(**kwargs)` of each behaviour.
+    def setup(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401  # as py_trees has it
+        """Call `setup(**kwargs)` of each behaviour, as py_trees does.
 
         Behaviours that are inserted later are set up with the same arguments before they are
         ticked.
         """
         self._take_all()
-        super().setup(timeout, visitor, **kwargs)
+        super().setup(*args, **kwargs)
         self._setup_arguments = kwargs
 
     def update(self) -> bool:
@@ -139,21 +121,40 @@ class TreeRunner(BehaviourTree):
     def tick(
         self, pre_tick_handler: Handler | None = None, post_tick_handler: Handler | None = None
     ) -> None:
-        """Tick once; an exception of a handler, or an interrupt, first stops the tree."""
+        """Tick once, with handlers and visitors as in py_trees, which takes longer.
+
+        An exception of a handler, or an interrupt, first stops the tree.
+        """
         self._read_clock()
         self.errors.clear()
         if self._is_stopped:
             self._begin_tick()
             return
         try:
-            super().tick(pre_tick_handler, post_tick_handler)
+            for handler in filter(None, [pre_tick_handler, *self.pre_tick_handlers]):
+                handler(self)
+            for visitor in self.visitors:
+                visitor.initialise()
+            self._begin_tick()
+            passing = [visitor for visitor in self.visitors if not visitor.full]
+            for node in self.root.tick():
+                self._raise_error()
+                for visitor in passing:
+                    node.visit(visitor)
+            full = [visitor for visitor in self.visitors if visitor.full]
+            for node in self.root.iterate() if full else ():
+                for visitor in full:
+                    node.visit(visitor)
+            for visitor in self.visitors:
+                visitor.finalise()
+            for handler in filter(None, [*self.post_tick_handlers, post_tick_handler]):
+                handler(self)
         except BaseException:
-            try:
-                halt(self.root)
-            finally:
-                for visitor in self.visitors:
-                    visitor.finalise()
+            halt(self.root)
+            for visitor in self.visitors:
+                visitor.finalise()
             raise
+        self.count += 1
         if self.status is SUCCESS:
             self._forget_progress()
 
@@ -185,17 +186,18 @@ class TreeRunner(BehaviourTree):
             if requests_of(kb).halting:
                 advance_halting(kb)
 
-    def _raise_error(self, _: Behaviour | None = None) -> None:
+    def _raise_error(self) -> None:
         if self._raises and self.errors:
             raise self.errors[0][1]
 
     def _take_all(self) -> None:
         """Take what is new in the tree."""
-        nodes = list(self.root.iterate())
-        if nodes == self._nodes:
+        if [node.children for node in self._nodes] == self._children:
             return
+        nodes = list(self.root.iterate())
         before = set(self._nodes)
         self._nodes = nodes
+        self._children = [list(node.children) for node in nodes]
         for behaviour in nodes:
             if behaviour not in before:
                 self._take(behaviour)

@@ -9,8 +9,9 @@ that was under way.
 
 import json
 import math
+from bisect import bisect_left
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from threading import get_ident
@@ -20,7 +21,7 @@ from typing import Any, NamedTuple, Self, TextIO
 from py_trees.behaviour import Behaviour
 from py_trees.visitors import VisitorBase
 
-from kb import Event, KnowledgeBase, Model, Status
+from kb import Event, KnowledgeBase, Model
 from rosa_bt.behaviours import KbBehaviour
 from rosa_bt.exceptions import TraceError, errors_of, in_words, path_of
 from rosa_bt.runner import TreeRunner
@@ -46,16 +47,6 @@ class Visit(NamedTuple):
     node: int
     status: str
     feedback: str
-
-
-class Decision(NamedTuple):
-    """A change of an action: of its request or its feasibility."""
-
-    action: str
-    what: str
-    """One of "requested", "completed", "failed", "abandoned", "unfeasible" and "feasible"."""
-    reason: str
-    """Why a request ended, in the words of the knowledge base; empty if no reason was given."""
 
 
 class Told(NamedTuple):
@@ -84,22 +75,6 @@ class Tick(NamedTuple):
     tell."""
     errors: tuple[tuple[str, str], ...] = ()
     """The behaviours that raised in the tick, by name, and the text of the exception."""
-
-    @property
-    def decisions(self) -> tuple[Decision, ...]:
-        """The requests, results and changes of feasibility of actions since the last tick."""
-        decisions = []
-        for event, _ in self.events:
-            if event.verb == "request_action":
-                decisions.append(Decision(event.subject, "requested", ""))
-            elif event.verb == "cancel_action":
-                decisions.append(Decision(*event.arguments))
-            for change in event.changes:
-                if change.kind == "action" and Status.UNFEASIBLE in (change.old, change.new):
-                    is_lost = change.new is Status.UNFEASIBLE
-                    what = "unfeasible" if is_lost else "feasible"
-                    decisions.append(Decision(change.name, what, ""))
-        return tuple(decisions)
 
 
 _NO_TICK = Tick(-1, -math.inf, (), ())
@@ -147,7 +122,7 @@ class TraceVisitor(VisitorBase):
         self._kb = kb
         self._file: TextIO | None = None
         if path is not None:
-            self._file = Path(path).open("w", buffering=1)  # noqa: SIM115  # closed by close()
+            self._file = Path(path).open("w", buffering=1)  # noqa: SIM115  # closed by __exit__
             self._file.write(_first_line(kb.model.name))
         self._ticks: deque[Tick] = deque(maxlen=keep)
         self._written = 0  # number of the last event that is written
@@ -184,7 +159,8 @@ class TraceVisitor(VisitorBase):
         if not all(node in self._numbers for node, _, _ in self._seen):
             self._number(root)
         before = self._ticks[-1] if self._ticks else _NO_TICK
-        visited = tuple(Visit(self._numbers[node], *shown) for node, *shown in self._seen)
+        numbers = self._numbers
+        visited = tuple(Visit(numbers[node], status, text) for node, status, text in self._seen)
         if visited == before.visited:
             visited = before.visited  # keep one copy in memory
         last = max([self._begun, *self._known, *self._own])  # later events are of the next tick
@@ -208,10 +184,7 @@ class TraceVisitor(VisitorBase):
             return -1
         if number in self._own:
             return None
-        for place, known in enumerate(self._known):
-            if known >= number:
-                return place
-        return len(self._known)
+        return bisect_left(self._known, number)
 
     def _witness(self, event: Event) -> None:
         """Note whether the tree told the event.
@@ -222,31 +195,31 @@ class TraceVisitor(VisitorBase):
         if self._thread == get_ident() and event.verb not in _CAUSED_BY_TIME:
             self._own.add(event.number)
 
-    def close(self) -> None:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
         """Stop recording, and close the file."""
         log = self._kb.log
         log.witnesses = tuple(other for other in log.witnesses if other != self._witness)
         if self._file is not None:
             self._file.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
     def _number(self, root: Behaviour) -> None:
-        depths: dict[Behaviour, int] = {}
-        pending = [(root, 0)]
-        while pending:
-            behaviour, depth = pending.pop()
-            depths[behaviour] = depth
-            pending += [(child, depth + 1) for child in reversed(behaviour.children)]
-        for behaviour, _, _ in self._seen:  # a step of a plan may have left the tree meanwhile
-            depths.setdefault(behaviour, 1)
-        self._numbers = {behaviour: number for number, behaviour in enumerate(depths)}
-        nodes = [Node(depth, type(node).__name__, node.name) for node, depth in depths.items()]
-        self._tree = tuple(nodes)
+        seen = [
+            node for node, *_ in self._seen
+        ]  # a step of a plan may have left the tree meanwhile
+        nodes = dict.fromkeys([*_parents_first(root), *seen])
+        self._numbers = {node: number for number, node in enumerate(nodes)}
+        self._tree = tuple(
+            Node(len(path_of(node)) - 1, type(node).__name__, node.name) for node in nodes
+        )
+
+
+def _parents_first(root: Behaviour) -> Iterator[Behaviour]:
+    yield root
+    for child in root.children:
+        yield from _parents_first(child)
 
 
 def _line(record: dict[str, object]) -> str:
@@ -261,8 +234,9 @@ def _tick_line(tick: Tick, before: Tick) -> str:
     """Return the line of a tick that follows another."""
     events = [(event.to_json(), place) for event, place in tick.events]
     line = tick._asdict() | {"events": events}
-    for name, value, earlier in zip(tick._fields, tick, before, strict=True):
-        if value == earlier:
+    earlier = before._asdict()
+    for name, value in tick._asdict().items():
+        if value == earlier[name]:
             del line[name]
     return _line(line)
 
@@ -271,19 +245,17 @@ def read_trace(path: str | Path) -> Trace:
     """Read a trace from a file.
 
     Raises:
-        TraceError: the file cannot be read, or is not a trace; the message names the line.
+        OSError: the file cannot be read.
+        TraceError: it is not a trace; the message names the line.
     """
-    try:
-        content = Path(path).read_bytes()
-    except OSError as error:
-        raise TraceError(f"cannot read the trace {path}: {error}") from error
+    content = Path(path).read_bytes()
     whole = content.rpartition(b"\n")[0]  # a program that is killed cuts the last line
-    model = None
     ticks = [_NO_TICK]
-    for number, text in enumerate(whole.splitlines(), start=1):
+    model = ""
+    for number, text in enumerate(whole.splitlines() or [b""], start=1):
         try:
             line = json.loads(text)
-            if model is not None:
+            if number > 1:
                 ticks.append(_read_tick(line, ticks[-1]))
                 continue
             version = line["rosa_bt_trace"]
@@ -294,8 +266,6 @@ def read_trace(path: str | Path) -> Trace:
         if version != _VERSION:
             how = f"this program reads version {_VERSION}"
             raise TraceError(f"{path} has version {version}; {how}")
-    if model is None:
-        raise TraceError(f"{path} is empty; a trace begins with a line that says what it is")
     return Trace(model, tuple(ticks[1:]))
 
 
@@ -388,5 +358,5 @@ class _Replay(TraceVisitor):
                 break
             self.tell([event])
             del left[0]
-        times = [event.time for event, place in left if place is None]
-        self._clock.now = times[0] if times else self._tick.time
+        times = (event.time for event, place in left if place is None)
+        self._clock.now = next(times, self._tick.time)

@@ -21,13 +21,12 @@ from rosa_pddl.domain import (
 )
 from rosa_pddl.executor import PlanExecutor
 from rosa_pddl.planner import Certificate, Planner, certificate, wait_for_plan
-from rosa_pddl.problem import Attempt, Outcome, PlanningResult, Problem
+from rosa_pddl.problem import Outcome, PlanningResult, Problem
 from rosa_pddl.reader import Goal, load_domain, parse_domain
 from rosa_pddl.replanning import Goals, PlanRecord, ReplanningPolicy
 from rosa_pddl.validate import TimedStep, flaw
 
 __all__ = [
-    "Attempt",
     "Certificate",
     "Domain",
     "Feasibility",

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import isfinite
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, TypeAlias
 
 from rosa_pddl.domain import (
     FEASIBLE,
@@ -20,17 +20,18 @@ from rosa_pddl.domain import (
     SensingError,
     State,
     Step,
-    UnknownObjectError,
     arguments_of,
     exact,
     feasible_atoms,
     head_of,
     initial_state,
+    nearest,
     number_fact,
     numbers_in,
     without_feasibility,
 )
 from rosa_pddl.grounding import binding_of
+from rosa_pddl.reader import atom_of
 from rosa_pddl.validate import changes, ended, started
 
 _MOST_DOMAINS = 8
@@ -194,35 +195,31 @@ class Belief:
     def _sorted(self, answer: Mapping[str, bool | float]) -> _Sensed:
         facts: dict[str, bool] = {}
         numbers: dict[str, float] = {}
+        objects = {name.lower() for name in self.domain.types}
         for text, value in answer.items():
-            if not isinstance(text, str):
-                message = f"sense returned {text!r}: {value!r}, expected a text first"
-                raise SensingError(f"{message} such as '(lit room)'")
             if " - " in text:
                 continue  # an object, which the executor has added already
-            try:
-                atom = self.domain.atom(text)
-            except UnknownObjectError as error:  # the world may have more objects
+            strange = {*text.lower().strip("() ").split()[1:]} - objects
+            if strange:  # the world may have more objects
                 if len(self.ignored_percepts) < _MOST_IGNORED:
-                    self.ignored_percepts[f"what is sensed is ignored: {error}"] = None
+                    hint = nearest(min(strange), objects)
+                    ignored = (
+                        f"{text} is sensed, but ignored: {min(strange)!r} is no object; {hint}"
+                    )
+                    self.ignored_percepts[ignored] = None
                 continue
+            atom = atom_of(self.domain, text)
             plain = value.item() if hasattr(value, "item") else value  # numpy's values, too
-            if head_of(atom) in self.domain.numeric:
-                numbers[atom] = _number(atom, plain)
-            elif not isinstance(plain, bool):
-                message = f"sense returned {value!r} for {atom}, expected True or False"
-                raise SensingError(message)
-            elif not self.domain.is_feasibility(atom):
-                facts[atom] = plain
+            is_number = head_of(atom) in self.domain.numeric
+            if is_number and type(plain) in (int, float) and isfinite(plain):
+                numbers[atom] = float(plain)
+            elif not is_number and isinstance(plain, bool):
+                if not self.domain.is_feasibility(atom):
+                    facts[atom] = plain
+            else:
+                expected = "a finite number" if is_number else "True or False"
+                raise SensingError(f"sense returned {value!r} for {atom}, expected {expected}")
         return _Sensed(facts, numbers)
-
-
-def _number(atom: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise SensingError(f"sense returned {value!r} for {atom}, expected a number")
-    if not isfinite(value):
-        raise SensingError(f"sense returned {value!r} for {atom}, expected a finite number")
-    return float(value)
 
 
 class LastingFeasibility:
@@ -282,15 +279,6 @@ class FeasibilityEvents:
         return latest
 
 
-@runtime_checkable
-class Explaining(Protocol):
-    """The explanations that a knowledge base may offer; `kb.KnowledgeBase` does."""
-
-    def explain(self, element: str) -> Any: ...  # noqa: ANN401  # a tree of reasons
-
-    def why(self, element: str) -> str: ...
-
-
 @dataclass(frozen=True)
 class UnmetEffect:
     """A step that succeeded without making an action feasible as expected."""
@@ -319,7 +307,7 @@ class ExpectedEffects:
         self._domain = domain
         self._kb = kb
         self._unmet: dict[Limit, UnmetEffect] = {}
-        self._hopeless: frozenset[Limit] = frozenset()
+        self._hopeless = hopeless_promises(domain, kb)
         self._limited = lru_cache(_MOST_DOMAINS)(_limited)
 
     def use(self, domain: Domain) -> None:
@@ -364,8 +352,26 @@ class ExpectedEffects:
                 del self._unmet[limit]
 
     def assumptions(self, steps: Iterable[Step], state: State) -> tuple[str, ...]:
-        """Return what a plan assumes about what makes actions feasible, in sentences."""
-        return assumptions(self._domain, self._kb, steps, state)
+        """Return what a plan assumes about what makes actions feasible, in sentences.
+
+        Nothing is assumed about an action whose model says what it restores.
+        """
+        domain = self._domain
+        sentences = dict[str, None]()
+        model = getattr(self._kb, "model", None)
+        feasibility = domain.feasibility
+        for step in steps:
+            schema = domain.schema_of[step.schema]
+            _, added = changes(domain, schema.effects, binding_of(domain, step), state)
+            restores = ()
+            if model is not None and step.action is not None:
+                restores = model.actions[step.action].restores
+            for atom in sorted((added - state) & feasibility.keys()):
+                if not restores:
+                    why = why_of(self._kb, feasibility[atom])
+                    sentences[f"assumes that {step.schema} cures: {why}"] = None
+            state = ended(domain, step, started(domain, step, state))
+        return tuple(sentences)
 
 
 def _limited(domain: Domain, limits: Iterable[Limit]) -> Domain:
@@ -386,20 +392,14 @@ def _limited(domain: Domain, limits: Iterable[Limit]) -> Domain:
     return replace(domain, schema_of=schemas)
 
 
-def without_hopeless(domain: Domain, kb: Feasibility) -> Domain:
-    """Return a domain without the promises that its actions cannot keep, by the model."""
-    limits = hopeless_promises(domain, kb)
-    return _limited(domain, limits) if limits else domain
-
-
-def hopeless_promises(domain: Domain, kb: Feasibility) -> frozenset[Limit]:
+def hopeless_promises(domain: Domain, kb: Any) -> frozenset[Limit]:  # noqa: ANN401  # may explain
     """Return the ROSA actions that PDDL actions cannot make feasible now, though they promise it.
 
     An action says in the model what it restores: attributes and components. It makes another one
     feasible only if some remedy of that one consists of these.
     """
     model = getattr(kb, "model", None)
-    if model is None or not isinstance(kb, Explaining):
+    if model is None:
         return frozenset()
     unfeasible = [action for action in domain.rosa_actions if not kb.is_feasible(action)]
     hopeless = set[Limit]()
@@ -417,41 +417,17 @@ def hopeless_promises(domain: Domain, kb: Feasibility) -> frozenset[Limit]:
     return frozenset(hopeless)
 
 
-def why_of(kb: Feasibility, action: str) -> str:
+def why_of(kb: Any, action: str) -> str:  # noqa: ANN401  # it may explain
     """Return in words why an action is unfeasible."""
-    return kb.why(action) if isinstance(kb, Explaining) else f"{action} is unfeasible"
+    return str(kb.why(action)) if hasattr(kb, "why") else f"{action} is unfeasible"
 
 
-def assumptions(
-    domain: Domain, kb: Feasibility, steps: Iterable[Step], state: State
-) -> tuple[str, ...]:
-    """Return what a plan assumes about what makes actions feasible, in sentences.
-
-    Nothing is assumed about an action whose model says what it restores.
-    """
-    sentences = dict[str, None]()
-    model = getattr(kb, "model", None)
-    feasibility = domain.feasibility
-    for step in steps:
-        schema = domain.schema_of[step.schema]
-        _, added = changes(domain, schema.effects, binding_of(domain, step), state)
-        restores = ()
-        if model is not None and step.action is not None:
-            restores = model.actions[step.action].restores
-        for atom in sorted((added - state) & feasibility.keys()):
-            if not restores:
-                why = why_of(kb, feasibility[atom])
-                sentences[f"assumes that {step.schema} cures: {why}"] = None
-        state = ended(domain, step, started(domain, step, state))
-    return tuple(sentences)
-
-
-def causes_of(kb: Feasibility, action: str) -> frozenset[str]:
+def causes_of(kb: Any, action: str) -> frozenset[str]:  # noqa: ANN401  # it may explain
     """Return the root causes why an action is unfeasible, as kind and name.
 
     The action if unknown.
     """
-    if not isinstance(kb, Explaining):
+    if not hasattr(kb, "explain"):
         return frozenset({action})
     causes = set[str]()
     seen = set[str]()

@@ -8,6 +8,7 @@ term is an object, or a variable such as `?x`.
 """
 
 import operator
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -38,7 +39,8 @@ Variables: TypeAlias = tuple[tuple[str, str], ...]
 """Variables with their types."""
 
 TRUE: Formula = ("and",)
-FALSE: Formula = ("or",)
+
+_NAME = re.compile(r"[A-Za-z][\w.-]*", re.ASCII)
 
 # Below this, a float without a fraction is exactly the whole number that was written.
 _ALL_WHOLE = 2**53
@@ -185,14 +187,6 @@ class Step:
         return f"{self.schema}({', '.join(self.arguments)})"
 
 
-class TimedFact(NamedTuple):
-    """A fact that becomes true or false at a time after the start of the problem [s]."""
-
-    at_s: float
-    atom: str
-    is_true: bool
-
-
 @dataclass(frozen=True, eq=False)
 class Domain:
     """What `load_domain` returns; never changes.
@@ -205,10 +199,9 @@ class Domain:
         signatures: the predicates and numbers by their names in lower case.
         kinds: for each type, in lower case, its name in the file and its lineage, itself first.
         types: for each object its type and the ancestors of this type, in lower case.
-        places: file and line of each declaration, by kind (object, action) and name.
+        places: file and line of each object's declaration.
         facts: the initial facts of the problem file.
         numbers: the initial values of numbers, by their text.
-        timed: facts that change by themselves.
         goal: the goal conditions of the problem file.
         metric: what a plan costs, as a number; None for the number of its steps.
         computed: the numbers that actions change and that plans depend on; part of a state.
@@ -226,10 +219,9 @@ class Domain:
     signatures: Mapping[str, Signature] = field(repr=False)
     kinds: Mapping[str, tuple[str, tuple[str, ...]]] = field(repr=False)
     types: Mapping[str, tuple[str, ...]] = field(repr=False)
-    places: Mapping[tuple[str, str], tuple[str, int]] = field(default_factory=dict, repr=False)
+    places: Mapping[str, tuple[str, int]] = field(default_factory=dict, repr=False)
     facts: State = field(default=frozenset(), repr=False)
     numbers: Mapping[str, Exact] = field(default_factory=dict, repr=False)
-    timed: tuple[TimedFact, ...] = ()
     goal: tuple[Formula, ...] = ()
     metric: Number = None
     computed: frozenset[str] = frozenset()
@@ -278,7 +270,7 @@ class Domain:
                 findings.append(f"{text}: {self.file}")
         for action in self.rosa_actions:
             if action not in kb.actions:
-                file, line = self.places.get(("object", action), (self.file, 0))
+                file, line = self.places.get(action, (self.file, 0))
                 message = f"the knowledge base does not know the action {action!r}"
                 hint = nearest(action, kb.actions)
                 raise PddlError(f"{message}; {hint}", file, line or None)
@@ -362,49 +354,15 @@ class Domain:
         by_name: dict[str | None, str] = dict(zip(names, listed, strict=True))
         return Step(schema, listed, by_name.get(definition.action, definition.action))
 
-    def atom(self, text: str) -> str:
-        """Return the canonical text of an atom, e.g. `(lit room)` for `lit ROOM`.
-
-        Raises:
-            UnknownNameError: the predicate is unknown or derived, or an argument does not fit it.
-        """
-        atoms: dict[str, str] = self.cache.setdefault("atoms", {})
-        if text not in atoms:
-            atoms[text] = self._canonical(text)
-        return atoms[text]
-
-    def _canonical(self, text: str) -> str:
-        words = text.strip().removeprefix("(").removesuffix(")").split()
-        if not words:
-            raise UnknownNameError(f"{text!r} is not an atom, expected e.g. '(predicate object)'")
-        predicate = self.spelling("predicate", words[0], text)
-        if words[0].lower() in self.axioms:
-            raise UnknownNameError(f"{text!r} is derived: it is neither stated nor sensed")
-        arguments = [self.spelling("object", word, text) for word in words[1:]]
-        expected = self.signatures[words[0].lower()].types
-        if len(expected) != len(arguments):
-            message = f"{text!r} has {len(arguments)} arguments, {predicate!r} takes"
-            raise UnknownNameError(f"{message} {len(expected)}")
-        for argument, kind in zip(arguments, expected, strict=True):
-            if kind.lower() not in self.types[argument]:
-                fitting = ", ".join(self.objects_of(kind)) or "none"
-                message = f"{argument!r} in {text!r} is not of type {kind!r}; of that type:"
-                raise UnknownNameError(f"{message} {fitting}")
-        return atom_text(predicate, arguments)
-
-    def spelling(self, kind: str, word: str, text: str) -> str:
-        """Return a predicate, object, type or action as the files spell it; errors quote `text`."""
-        names: Mapping[str, Iterable[str]] = {
-            "predicate": [each.name for each in self.signatures.values()],
-            "object": self.types,
-            "type": [name for name, _ in self.kinds.values()],
-            "action": self.schema_of,
-        }
-        spelled = {name.lower(): name for name in names[kind]}
+    def spelling(self, kind: str, word: str) -> str:
+        """Return an object, or a type, as the files spell it."""
+        names = list(self.types)
+        if kind == "type":
+            names = [name for name, _ in self.kinds.values()]
+        spelled = {name.lower(): name for name in names}
         if word.lower() not in spelled:
-            error = UnknownObjectError if kind == "object" else UnknownNameError
-            hint = nearest(word, names[kind])
-            raise error(f"{self.file} has no {kind} {word!r} (in {text!r}); {hint}")
+            hint = nearest(word, names)
+            raise UnknownNameError(f"{self.file} has no {kind} {word!r}; {hint}")
         return spelled[word.lower()]
 
 
@@ -415,15 +373,14 @@ def with_object(domain: Domain, name: str, type_name: str) -> Domain:
         UnknownNameError: there is no such type, the name is taken or no PDDL name, or the object
             would be a ROSA action: only the knowledge base defines those.
     """
-    spelled = domain.spelling("type", type_name, f"{name} - {type_name}")
+    spelled = domain.spelling("type", type_name)
     lineage = domain.kinds[spelled.lower()][1]
     if ACTION_TYPE in lineage:
-        message = f"{name!r} would be a ROSA action; those are added to the model and to"
-        raise UnknownNameError(f"{message} {domain.file}")
+        raise UnknownNameError(f"{name!r} would be a ROSA action; add it to {domain.file}")
     taken = {other.lower() for other in domain.types}
-    if not is_name(name) or name.lower() in taken:
+    if not _NAME.fullmatch(name) or name.lower() in taken:
         message = f"{name!r} cannot be added, expected a name that no object has"
-        raise UnknownNameError(f"{message}: a letter, then letters, digits, '_' or '-'")
+        raise UnknownNameError(f"{message}: a letter, then letters, digits, '_', '-' or '.'")
     return replace(domain, types={**domain.types, name: lineage})
 
 
@@ -431,23 +388,15 @@ def without_object(domain: Domain, name: str) -> Domain:
     """Return a domain without an object, and without the goals that name it.
 
     Raises:
-        UnknownObjectError: there is no such object.
-        UnknownNameError: it is a ROSA action.
+        UnknownNameError: there is no such object, or it is a ROSA action.
     """
-    spelled = domain.spelling("object", name, name)
+    spelled = domain.spelling("object", name)
     if ACTION_TYPE in domain.types[spelled]:
-        message = f"{spelled!r} is a ROSA action, which stays; the knowledge base says whether"
-        raise UnknownNameError(f"{message} it is feasible")
+        raise UnknownNameError(f"{spelled!r} is a ROSA action, which stays")
     types = {other: lineage for other, lineage in domain.types.items() if other != spelled}
     facts = frozenset(fact for fact in domain.facts if spelled not in arguments_of(fact))
     goal = tuple(each for each in domain.goal if spelled not in constants_in(each))
     return replace(domain, types=types, facts=facts, goal=goal)
-
-
-def is_name(word: str) -> bool:
-    """Whether a word can be a name: a letter, then letters, digits and marks; SkiROS2 uses `:`."""
-    marks = all(letter.isalnum() or letter in "_-.:" for letter in word)
-    return marks and word[:1].isalpha() and word.isascii()
 
 
 def initial_state(domain: Domain) -> State:
@@ -500,10 +449,6 @@ class UnsupportedPddlError(PddlError):
 
 class UnknownNameError(RosaPddlError):
     """A name that the domain does not know; the message lists the nearest known ones."""
-
-
-class UnknownObjectError(UnknownNameError):
-    """The name of an object that the files do not have."""
 
 
 class MissingBehaviourError(RosaPddlError):

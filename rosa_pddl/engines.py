@@ -54,11 +54,8 @@ class EngineProcess:
             The outcome, and the steps: action, arguments, and if it says them start and duration.
         """
         deadline = time.monotonic() + limit_s
-        while not self._lock.acquire(timeout=_LOOKS_S):
-            if cancelled.is_set():
-                raise Cancelled
-            if time.monotonic() > deadline:
-                raise PlanningFailed(Outcome.OUT_OF_TIME, "it was busy with another question")
+        if limit_s <= 0.0 or not self._lock.acquire(timeout=limit_s):
+            raise PlanningFailed(Outcome.OUT_OF_TIME, "no time was left for this question")
         try:
             self._start()
             question = {

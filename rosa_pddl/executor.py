@@ -5,6 +5,7 @@ planner's answer, starts steps and decides whether to ask for a plan: see `PlanE
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from inspect import signature
 from typing import Any
 
 from py_trees.behaviour import Behaviour
@@ -53,9 +54,6 @@ from rosa_pddl.validate import (
 )
 
 Factory = Callable[[Step], Behaviour]
-
-# One tick takes at most this many answers of a planner that answers at once.
-_MOST_ROUNDS = 8
 
 
 class RunningStep:
@@ -178,7 +176,7 @@ class PlanExecutor(Behaviour):
         planner: plans in the background; by default `Planner()`.
         delay_s: the executor takes the planner's answer this long after the request [s], however
             long planning took, so that every run of a simulation is the same; None to take it as
-            soon as it is there, in the tick of the request if the planner answers at once.
+            soon as it is there.
         policy: how often to replan, and how patient to be.
 
     Attributes:
@@ -206,17 +204,20 @@ class PlanExecutor(Behaviour):
         policy: ReplanningPolicy | None = None,
     ) -> None:
         super().__init__(name)
-        why = domain.only_planned
-        if domain.timed:
-            why = f"{domain.timed[0].atom} changes by itself; let it be sensed"
-        if why:
-            message = f"it can be planned for, but not executed: {why}"
+        if domain.only_planned:
+            message = f"it can be planned for, but not executed: {domain.only_planned}"
             raise UnsupportedPddlError(message, domain.file)
         if not callable(sense):
             message = f"sense is {sense!r}, expected a function that returns what is sensed"
             raise SensingError(f"{message}, such as lambda: {{'(lit room)': True}}")
         self._findings = domain.check(kb)
         check_behaviours(domain, behaviours)
+        for schema, factory in behaviours.items():
+            try:
+                signature(factory).bind("step")
+            except TypeError:
+                message = f"what makes {schema!r} takes {signature(factory)}"
+                raise MissingBehaviourError(f"{message}, expected one argument: the step") from None
         self.goals = Goals(domain)
         self._domain = domain
         self._factories = dict(behaviours)
@@ -266,7 +267,7 @@ class PlanExecutor(Behaviour):
 
     def objects(self, type_name: str) -> tuple[str, ...]:
         """The objects of a type and of its subtypes, in the order of files and appearance."""
-        return self._domain.objects_of(self._domain.spelling("type", type_name, type_name))
+        return self._domain.objects_of(self._domain.spelling("type", type_name))
 
     def add_object(self, name: str, type_name: str) -> None:
         """Add an object that has appeared; call it between ticks. Raises as `with_object`."""
@@ -277,7 +278,7 @@ class PlanExecutor(Behaviour):
 
         Raises UnknownNameError if it cannot be removed.
         """
-        spelled = self._domain.spelling("object", name, name)
+        spelled = self._domain.spelling("object", name)
         domain = without_object(self._domain, name)
         self._release([each for each in self._running if spelled in each.step.arguments])
         self._use(domain)
@@ -380,12 +381,9 @@ class PlanExecutor(Behaviour):
         self._monitor_plan(state)
         self._tick_steps(tuple(self._running))
         self._take_answer()
-        status = self._act_and_decide()
-        rounds = _MOST_ROUNDS
-        while status == Status.RUNNING and self._client.was_answered_at_once and rounds:
-            self._take_answer()
-            status = self._act_and_decide()
-            rounds -= 1
+        while self._tick_steps(self._start_ready()):
+            pass
+        status = self._decide(self._belief.observe())
         self._keep_required(status)
         return status
 
@@ -460,12 +458,6 @@ class PlanExecutor(Behaviour):
         elif flaw is not None:
             self._request_plan(flaw, self._cause)
 
-    def _act_and_decide(self) -> Status:
-        """Start the steps that may start, then decide what to ask and how the tick ends."""
-        while self._tick_steps(self._start_ready()):
-            pass
-        return self._decide(self._belief.observe())
-
     def _decide(self, state: State) -> Status:
         """Return the status of the tick, and ask the planner for a plan if one is wanted."""
         replanning = self._replanning
@@ -504,8 +496,7 @@ class PlanExecutor(Behaviour):
         return self._monitor.holding(wanted, state) == wanted
 
     def _activities(self) -> Iterator[str]:
-        for step in self.current_steps:
-            yield str(step)
+        yield from map(str, self.current_steps)
         if not self._running and self._plan is not None:
             for number in self._plan.startable:
                 step = self._plan.steps[number]
@@ -674,11 +665,10 @@ class PlanExecutor(Behaviour):
         return declared_s or self._took_s.get(step.schema, 0.0)
 
     def _shares_left(self) -> Mapping[Step, float]:
-        """Return which share of each running step is left, by how long such a step last took."""
+        """Return which share of each running step is left."""
         shares = dict[Step, float]()
         for running in self._running:
-            whole_s = self._took_s.get(running.step.schema, 0.0)
-            whole_s = whole_s or self._expected_s(running.step)
+            whole_s = self._expected_s(running.step)
             passed_s = self._clock() - running.began_s
             shares[running.step] = max(1.0 - passed_s / whole_s, 0.0) if whole_s else 1.0
         return shares

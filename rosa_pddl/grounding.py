@@ -163,7 +163,8 @@ def with_types(domain: Domain, variables: Variables, literals: Iterable[Literal]
     listed = list(literals)
     implied = set[tuple[str, str]]()
     for name, terms in listed:
-        for term, kind in zip(terms, domain.signatures[name.lower()].types, strict=True):
+        signature = domain.signatures.get(name.lower())  # none for a type
+        for term, kind in zip(terms, signature.types if signature else (), strict=False):
             implied.update((term, above) for above in domain.kinds[kind.lower()][1])
     for variable, kind in variables:
         if (variable, kind.lower()) not in implied:
@@ -249,26 +250,6 @@ def substituted(formula: Any, binding: Binding) -> Any:  # noqa: ANN401  # a for
     return head, *(substituted(part, binding) for part in parts)
 
 
-def grounded(number: Number, binding: Binding) -> Number:
-    """Return a number with objects for its variables: numbers of the domain as `("n", text)`."""
-    if not isinstance(number, tuple):
-        return number
-    head, *parts = number
-    if head == "n":
-        return head, atom_text(parts[0], bound(parts[1], binding))
-    return head, *(grounded(part, binding) for part in parts)
-
-
-def texts_in(number: Number) -> Iterator[str]:
-    """Yield the texts of the numbers in a number without variables."""
-    if isinstance(number, tuple):
-        if number[0] == "n":
-            yield number[1] if len(number) == 2 else atom_text(number[1], number[2])
-        else:
-            for part in number[1:]:
-                yield from texts_in(part)
-
-
 def binding_of(domain: Domain, step: Step) -> Binding:
     """Return the arguments of a step by its variables."""
     names = [name for name, _ in domain.schema_of[step.schema].variables]
@@ -281,7 +262,7 @@ def binding_of(domain: Domain, step: Step) -> Binding:
 def duration_of(domain: Domain, step: Step) -> Number:
     """Return the shortest duration of a step [s], as a ground number."""
     duration = domain.schema_of[step.schema].duration
-    return 0 if duration is None else grounded(duration[0], binding_of(domain, step))
+    return 0 if duration is None else substituted(duration[0], binding_of(domain, step))
 
 
 def cost_of(domain: Domain, step: Step) -> Number:
@@ -329,7 +310,7 @@ def _rise_of(domain: Domain, number: Sequence[Any], step: Step) -> Number:
         if effect.variables or (is_target and not is_sure):
             raise UnsearchableError(f"{schema.name} changes {text} on conditions, or lowers it")
         if is_target:
-            rises.append(grounded(effect.amount, binding))
+            rises.append(substituted(effect.amount, binding))
     if len(rises) < 2:
         return rises[0] if rises else 0
     return "+", *rises

@@ -1,11 +1,12 @@
-"""The planner: tries several strategies in order; every result has a named outcome."""
+"""The planner: the exact search, or else an engine; every result has a named outcome."""
 
+import logging
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, field, replace
-from itertools import accumulate, chain, combinations, product
+from itertools import chain, combinations, product
 from math import comb, inf
 
 from rosa_pddl.domain import (
@@ -27,7 +28,6 @@ from rosa_pddl.engines import (
 )
 from rosa_pddl.grounding import UnsearchableError
 from rosa_pddl.problem import (
-    Attempt,
     Outcome,
     PddlText,
     PlanningFailed,
@@ -37,11 +37,11 @@ from rosa_pddl.problem import (
 from rosa_pddl.search import CapReached, Grounded
 from rosa_pddl.validate import TimedStep, flaw, plan_cost, takes_s
 
+_LOG = logging.getLogger(__name__)
+
 SEARCH = "search"
 """The strategy that is the exact search in this process."""
 
-# Within a tick, the search looks at most at this many moves; some milliseconds.
-_MOVES_IN_A_TICK = 100
 _MOVES_FOR_AN_OPERATION = 5
 _MOST_DOMAINS = 8
 _MOST_ENTRIES = 1 << 14
@@ -56,10 +56,8 @@ class Planner:
         engine: `fast-downward-opt` (a plan of least cost), `fast-downward` (any plan, soon),
             `kairos` (numbers, time, preferences), or a name of unified-planning's factory.
             Where Fast Downward has no notion of numbers or time, Kairos answers.
-        timeout_s: wall-clock time for all strategies together [s]; an engine is killed then.
-        fallback: engines to try afterwards; each strategy may take half of the time that is left.
-        overlapping: whether steps may overlap; the plan is a schedule. The engine is `kairos`, or
-            a temporal one of unified-planning.
+        timeout_s: wall-clock time for search and engine together [s]; an engine is killed then.
+        overlapping: whether steps may overlap; the plan is a schedule, by Kairos.
         moves: how many moves the search in this process may look at; 0 to leave it out.
 
     Raises:
@@ -71,22 +69,18 @@ class Planner:
         engine: str | None = None,
         timeout_s: float = 10.0,
         *,
-        fallback: Sequence[str] = (),
         overlapping: bool = False,
         moves: int = 20_000,
     ) -> None:
         self.engine = engine or (KAIROS if overlapping else OPTIMAL)
-        self.fallback = tuple(fallback)
         self.timeout_s = timeout_s
         self.overlapping = overlapping
         self.moves = moves
-        for name in (self.engine, *self.fallback):
-            wrong = check_name(name)
-            if wrong is None and overlapping and name in DOWNWARD:
-                wrong = f"{name} plans one step after the other; for overlapping steps use"
-                wrong += " a temporal engine such as 'kairos'"
-            if wrong is not None:
-                raise PlannerSettingError(wrong)
+        wrong = check_name(self.engine)
+        if overlapping and self.engine != KAIROS:
+            wrong = f"{engine} plans one step after the other; overlapping steps are for 'kairos'"
+        if wrong is not None:
+            raise PlannerSettingError(wrong)
         if not 0.0 < timeout_s < inf:
             message = f"timeout_s is {timeout_s:g}, expected more than 0, and finite"
             raise PlannerSettingError(message)
@@ -104,13 +98,9 @@ class Planner:
         return _Planning(self, problem).result()
 
     def start(self, problem: Problem) -> "Future[PlanningResult]":
-        """Plan in a new thread, or at once if that fits into a tick. Cancelling ends the engine."""
+        """Plan in a new thread. Cancelling the future ends the engine."""
         future: Future[PlanningResult] = Future()
         planning = _Planning(self, problem)
-        at_once = planning.at_once()
-        if at_once is not None:
-            future.set_result(at_once)
-            return future
 
         def on_done(done: "Future[PlanningResult]") -> None:
             if done.cancelled():
@@ -162,7 +152,7 @@ def wait_for_plan(future: "Future[PlanningResult]", budget_s: float) -> Planning
         budget_s: longest wall-clock time to wait [s]; then the planning is cancelled.
 
     Raises:
-        PlanningBudgetError: the answer was not there in time, or an attempt ran out of wall-clock
+        PlanningBudgetError: the answer was not there in time, or the planner ran out of wall-clock
             time, so that a faster machine might have given another answer.
     """
     finished, _ = wait([future], timeout=budget_s)
@@ -172,15 +162,14 @@ def wait_for_plan(future: "Future[PlanningResult]", budget_s: float) -> Planning
         message = f"no plan after {budget_s:g} s of waiting, and going on without {depends}"
         raise PlanningBudgetError(f"{message}; allow more time or ask for less")
     result = future.result()
-    if result.hangs_on_the_clock:
-        tried = "; ".join(map(str, result.attempts)) or result.message
+    if result.outcome is Outcome.OUT_OF_TIME:
         message = f"planning ran out of wall-clock time, and going on {depends}"
-        raise PlanningBudgetError(f"{message}: {tried}")
+        raise PlanningBudgetError(f"{message}: {result.message}")
     return result
 
 
 class _Planning:
-    """One planning: tries the strategies in order, and reports on all of them."""
+    """One planning: by the search, or else by an engine."""
 
     def __init__(self, planner: Planner, problem: Problem) -> None:
         self._planner = planner
@@ -188,24 +177,19 @@ class _Planning:
         self._domain = problem.domain.with_numbers(problem.costs)
         self.cancelled = threading.Event()
 
-    # ------------------------------------------------------------ answers
-
-    def at_once(self) -> PlanningResult | None:
-        """Return the answer if it can be found within a tick, else None."""
-        task = self._planner.grounded(self._domain, self._problem.state)
-        if not self._may_search or task is None or len(task.steps) > _MOVES_IN_A_TICK:
-            return None
-        try:
-            answer = self._checked(SEARCH, self._search(task, _MOVES_IN_A_TICK, inf))
-        except Exception:  # `result` meets the same error and reports it
-            return None
-        return self._report(answer, SEARCH, [Attempt(SEARCH, answer.outcome)])
-
     def result(self) -> PlanningResult:
-        """Try one strategy after the other until there is a plan, or a proof that there is none."""
+        """Ask the search for at most half of the time, and the engine if it gives up."""
         self._planner.cancelled.add(self.cancelled)
+        timeout_s = self._planner.timeout_s
+        began_s = time.monotonic()
         try:
-            return self._try_in_order()
+            if self._may_search:
+                answer = self._try(SEARCH, began_s + timeout_s / 2)
+                if answer is not None:
+                    return self._report(answer, SEARCH)
+            engine = self._main_engine
+            answer = self._try(engine, began_s + timeout_s)
+            return self._report(answer or PlanningResult(Outcome.OUT_OF_TIME), engine)
         except Cancelled:
             message = "the planner was closed"
             return PlanningResult(Outcome.ENGINE_CRASHED, (), self._planner.engine, message)
@@ -237,28 +221,6 @@ class _Planning:
             return KAIROS
         return engine
 
-    def _try_in_order(self) -> PlanningResult:
-        deadline = time.monotonic() + self._planner.timeout_s
-        strategies = [SEARCH] if self._may_search else []
-        strategies += [self._main_engine, *self._planner.fallback]
-        attempts: list[Attempt] = []
-        for number, strategy in enumerate(strategies, start=1):
-            left_s = deadline - time.monotonic()
-            if number < len(strategies):
-                left_s /= 2
-            answer = self._try(strategy, time.monotonic() + left_s)
-            if answer is None:
-                continue
-            message = answer.message if answer.outcome.is_trouble else ""
-            attempts.append(Attempt(strategy, answer.outcome, message))
-            is_final = answer.outcome.is_solved or answer.outcome is Outcome.UNSOLVABLE_PROVEN
-            # what the search finds to be missing, an engine would take for false
-            if is_final or (strategy == SEARCH and answer.outcome is Outcome.UNSUPPORTED):
-                return self._report(answer, strategy, attempts)
-        outcomes = [attempt.outcome for attempt in attempts]
-        worst = next(outcome for outcome in Outcome if outcome in outcomes)
-        return self._report(PlanningResult(worst), attempts[0].strategy, attempts)
-
     def _try(self, strategy: str, deadline: float) -> PlanningResult | None:
         """Return the answer of a strategy; None if the search gave up, as engines will do."""
         try:
@@ -284,6 +246,9 @@ class _Planning:
         except UnsupportedPddlError as error:
             return PlanningResult(Outcome.UNSUPPORTED, message=str(error))
         except Exception as error:  # no error here may stop the tree; it is reported by name
+            if strategy == SEARCH:
+                _LOG.exception("the search failed, so an engine is asked")
+                return None
             message = f"{type(error).__name__}: {error}"
             return PlanningResult(Outcome.ENGINE_CRASHED, message=message)
 
@@ -293,19 +258,13 @@ class _Planning:
         missing = missing_package(engine)
         if missing is not None:
             raise PlanningFailed(Outcome.ENGINE_MISSING, missing)
-        if deadline <= time.monotonic():
-            message = f"of {self._planner.timeout_s:g} s no time was left for it"
-            raise PlanningFailed(Outcome.OUT_OF_TIME, message)
-        if domain.axioms and engine not in (*DOWNWARD, KAIROS):
-            message = f"{', '.join(domain.axioms)} is derived, which {engine} does not know"
-            raise PlanningFailed(Outcome.UNSUPPORTED, f"{message}; Planner() does")
         text = self._text(engine)
         left_s = deadline - time.monotonic()
         outcome, plan = self._planner.process.ask(engine, text, self.cancelled, left_s)
         timed = list[TimedStep]()
         for name, arguments, *times in plan:
             timed.append(TimedStep(text.step(domain, name, arguments), *(times or (0.0, 0.0))))
-        is_schedule = self._planner.overlapping or domain.only_planned or domain.timed
+        is_schedule = self._planner.overlapping or domain.only_planned
         steps = tuple(each.step for each in timed)
         return PlanningResult(outcome, steps, schedule=tuple(timed) if is_schedule else ())
 
@@ -316,7 +275,7 @@ class _Planning:
             return problem.write("overlapping")
         if engine in DOWNWARD:
             return problem.write("costs")
-        if problem.until or domain.timed or "total-time" in names_in([domain.metric]):
+        if problem.until or "total-time" in names_in([domain.metric]):
             return problem.write("timed")
         has_numbers = engine == KAIROS or domain.computed or domain.compared
         try:
@@ -355,32 +314,28 @@ class _Planning:
         if not answer.outcome.is_solved or self._domain.only_planned:
             return answer
         problem = self._problem
-        domain = self._domain
-        state = problem.state
-        costs = problem.costs
-        takes = [takes_s(domain, step, state, costs) for step in answer.steps]
-        if takes:
-            takes[0] *= problem.shares.get(answer.steps[0], 1.0)
-        ends_s = tuple(accumulate(takes))
         plan = answer.schedule or answer.steps
-        wrong = flaw(domain, plan, state, problem.wanted, problem.until, ends_s, costs)
+        domain = self._domain
+        passed_s = 0.0  # of a first step that is running already
+        for step in answer.steps[:1]:
+            whole_s = takes_s(domain, step, problem.state, problem.costs)
+            passed_s = whole_s * (1.0 - problem.shares.get(step, 1.0))
+        until = {atom: left_s + passed_s for atom, left_s in problem.until.items()}
+        wrong = flaw(domain, plan, problem.state, problem.wanted, until, problem.costs)
         if wrong is not None:
             message = f"{strategy} returned a plan that does not work: {wrong}"
             raise PlanningFailed(Outcome.ENGINE_CRASHED, message)
         return answer
 
-    def _report(
-        self, answer: PlanningResult, strategy: str, attempts: list[Attempt]
-    ) -> PlanningResult:
+    def _report(self, answer: PlanningResult, strategy: str) -> PlanningResult:
         domain = self._domain
         outcome = answer.outcome
-        tried = tuple(attempts)
         if outcome.is_solved:
             problem = self._problem
             cost = None
             if not domain.only_planned:
                 cost = plan_cost(domain, answer.steps, problem.state, problem.costs)
-            return replace(answer, engine=strategy, cost=cost, attempts=tried, message="")
+            return replace(answer, engine=strategy, cost=cost, message="")
         message = f"{strategy}: {outcome}"
         is_sequential = not self._planner.overlapping
         if outcome is Outcome.UNSOLVABLE_PROVEN and is_sequential and _may_have_to_overlap(domain):
@@ -388,8 +343,8 @@ class _Planning:
             message = f"{strategy}: {outcome}: there is no plan of one step after the other"
             message += "; steps may overlap with Planner(overlapping=True)"
         if outcome.is_trouble:
-            message = "; ".join(map(str, attempts))
-        return PlanningResult(outcome, (), strategy, message, attempts=tried)
+            message += f" ({answer.message})"
+        return PlanningResult(outcome, (), strategy, message)
 
 
 def _may_have_to_overlap(domain: Domain) -> bool:
@@ -444,13 +399,10 @@ def certificate(
         failures: the largest number of unfeasible actions in a combination; None for all.
 
     Raises:
-        PlannerSettingError: `failures` is out of range, or there are too many combinations.
+        PlannerSettingError: there are too many combinations.
     """
     actions = domain.rosa_actions
-    most = len(actions) if failures is None else failures
-    if not 0 <= most <= len(actions):
-        message = f"failures is {most}, expected 0 to {len(actions)}"
-        raise PlannerSettingError(f"{message}, as so many actions there are")
+    most = len(actions) if failures is None else max(failures, 0)
     total = sum(comb(len(actions), count) for count in range(most + 1))
     if total > _MOST_ENTRIES:
         message = f"{total} combinations of {len(actions)} actions are too many"

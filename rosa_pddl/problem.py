@@ -1,5 +1,6 @@
 """A planning problem, what came of planning, and the PDDL text that engines read."""
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -33,7 +34,7 @@ from rosa_pddl.domain import (
     variables_text,
 )
 from rosa_pddl.grounding import UnsearchableError, binding_of, cost_of
-from rosa_pddl.reader import Goal
+from rosa_pddl.reader import Goal, atom_of
 from rosa_pddl.validate import TimedStep, Values
 
 _FREE = "rosa-free"
@@ -41,7 +42,7 @@ _FIRST = "rosa-first"
 
 
 class Outcome(Enum):
-    """How planning ended; if all attempts fail, the first of these that one had is reported."""
+    """How planning ended."""
 
     SOLVED = "solved"
     SOLVED_OPTIMALLY = "solved optimally"
@@ -86,36 +87,16 @@ class PlanningFailed(Exception):
 
 
 @dataclass(frozen=True)
-class Attempt:
-    """One strategy of planning that was tried.
-
-    Args:
-        strategy: `search`, or the name of an engine.
-        outcome: how it ended.
-        message: what went wrong and what to do about it; empty when solved.
-    """
-
-    strategy: str
-    outcome: Outcome
-    message: str = ""
-
-    def __str__(self) -> str:
-        reason = f" ({self.message})" if self.message else ""
-        return f"{self.strategy}: {self.outcome}{reason}"
-
-
-@dataclass(frozen=True)
 class PlanningResult:
     """The answer of a planner.
 
     Args:
         outcome: how it ended.
         steps: the plan, in the order of their starts; empty unless solved.
-        engine: the strategy that answered, or the engine that should have answered.
-        message: without a plan, what was tried and what to do about it.
+        engine: who answered: `search`, or the name of an engine.
+        message: without a plan, what went wrong and what to do about it.
         cost: what the plan adds to the metric, or the number of its steps without a metric.
         schedule: when each step starts and how long it takes, if steps may overlap.
-        attempts: what was tried, in order.
         assumptions: what the plan relies on and nobody knows, in sentences.
     """
 
@@ -125,14 +106,12 @@ class PlanningResult:
     message: str = ""
     cost: float | None = None
     schedule: tuple[TimedStep, ...] = ()
-    attempts: tuple[Attempt, ...] = ()
     assumptions: tuple[str, ...] = ()
 
     @property
-    def hangs_on_the_clock(self) -> bool:
-        """Whether an attempt ran out of time, so that a faster machine might answer otherwise."""
-        outcomes = {self.outcome, *(attempt.outcome for attempt in self.attempts)}
-        return Outcome.OUT_OF_TIME in outcomes
+    def attempts(self) -> tuple[str, ...]:
+        """Who was asked, with the outcome."""
+        return (f"{self.engine}: {self.outcome}",)
 
 
 @dataclass(frozen=True)
@@ -152,8 +131,8 @@ class Problem:
         soft: goals that a plan may give up, at the cost of their worth.
 
     Raises:
-        UnknownNameError: a key of `costs` is no numeric fact, or one of `until` no feasibility.
-        SensingError: a value of `costs` is no number, or a time in `until` is not a finite one.
+        UnknownNameError: a key of `costs` is no numeric fact.
+        SensingError: a value of `costs` is no finite number.
     """
 
     domain: Domain
@@ -166,18 +145,14 @@ class Problem:
     soft: tuple[Goal, ...] = ()
 
     def __post_init__(self) -> None:
-        costs = {self.domain.atom(text): value for text, value in self.costs.items()}
+        costs = {atom_of(self.domain, text): value for text, value in self.costs.items()}
         for text, value in costs.items():
-            _check_finite(text, value)
+            if not (isinstance(value, Real) and isfinite(value)):
+                raise SensingError(f"{text} is {value!r}, expected a finite number")
             if head_of(text) not in self.domain.numeric:
                 message = f"{text!r} is no numeric fact of {self.domain.file}"
                 raise UnknownNameError(f"{message}; {nearest(head_of(text), self.domain.numeric)}")
         object.__setattr__(self, "costs", costs)  # in the spelling of the files
-        for text, left_s in self.until.items():
-            _check_finite(text, left_s)
-            if text not in self.domain.feasibility:
-                message = f"{text!r} does not say that an action is feasible"
-                raise UnknownNameError(f"{message}; {nearest(text, self.domain.feasibility)}")
 
     @property
     def wanted(self) -> tuple[Formula, ...]:
@@ -198,11 +173,6 @@ class Problem:
         return _Writer(self, style).write()
 
 
-def _check_finite(text: str, value: object) -> None:
-    if not (isinstance(value, Real) and isfinite(value)):
-        raise SensingError(f"{text} is {value!r}, expected a finite number")
-
-
 class PddlText(NamedTuple):
     """A problem as PDDL text.
 
@@ -217,7 +187,7 @@ class PddlText(NamedTuple):
 
     def step(self, domain: Domain, name: str, arguments: Sequence[str]) -> Step:
         """Return the step for an action in the text."""
-        words = [domain.spelling("object", word, word) for word in arguments]
+        words = [domain.spelling("object", word) for word in arguments]
         return domain.step(self.names[name.lower()], words)
 
 
@@ -239,7 +209,9 @@ class _Writer:
         domain = self._domain
         if domain.only_planned:
             names = {name.lower(): name for name in domain.schema_of}
-            return PddlText(*domain.texts, names)
+            text, problem = domain.texts
+            init = " ".join(["(:init", *sorted(self._problem.state)])
+            return PddlText(text, re.sub(r"\(:init", init, problem, flags=re.I), names)
         actions = list[str]()
         for schema in domain.schema_of.values():
             actions += [_action_text(each) for each in self._versions(schema)]
@@ -282,7 +254,7 @@ class _Writer:
             amount = self._whole_cost(step, weight)
         elif metric is not None:
             # a step that has failed costs as much again for each try that is expected
-            amount = weight - 1 and ("*", weight - 1, _lifted(cost_of(self._domain, step)))
+            amount = weight - 1 and ("*", weight - 1, cost_of(self._domain, step))
         elif self._style == "overlapping":
             amount = weight - 1
         if not self._is_timed:
@@ -304,7 +276,7 @@ class _Writer:
         if isinstance(cost, tuple) and is_open:
             if cost[0] != "n":
                 raise UnsearchableError(f"the cost of {step.schema} is computed")
-            return _lifted(cost)
+            return cost
         value = self._values.number(cost, {})
         if value is None or value < 0:
             raise UnsearchableError(f"the cost of {step} is unknown, or less than nothing")
@@ -313,7 +285,7 @@ class _Writer:
     def _scale_of_costs(self) -> int:
         """Return a factor that makes all costs whole; raise if the engine needs other numbers."""
         domain = self._domain
-        if domain.computed or domain.compared or domain.timed:
+        if domain.computed or domain.compared:
             raise UnsearchableError("Fast Downward plans without numbers that rise and fall")
         costs = list(self._numbers().values())
         for schema in domain.schema_of.values():
@@ -340,11 +312,11 @@ class _Writer:
             for axiom in each:
                 head = Signature(domain.signatures[name].name, axiom.variables, False)
                 axioms.append(f"(:derived {head} {text_of(axiom.condition)})")
-        requirements = ":typing :adl :derived-predicates :preferences"
-        if self._style == "costs":
-            requirements = ":typing :adl :derived-predicates :action-costs"
-        elif self._is_timed:
+        requirements = ":typing :adl :action-costs"
+        if self._is_timed:
             requirements += " :durative-actions :duration-inequalities :timed-initial-literals"
+        if axioms:  # unified-planning refuses a file that says so
+            requirements += " :derived-predicates"
         parts = [
             "(define (domain rosa)",
             f"(:requirements {requirements})",
@@ -384,8 +356,6 @@ class _Writer:
 
     def _timed_facts(self) -> Iterator[str]:
         if self._is_timed:
-            for at_s, atom, is_true in self._domain.timed:
-                yield f"(at {at_s} {atom if is_true else f'(not {atom})'})"
             for atom, left_s in self._problem.until.items():
                 yield f"(at {max(left_s, 0.001)} (not {atom}))"
 
@@ -406,16 +376,6 @@ class _Writer:
         values = {**self._domain.numbers, **self._problem.costs}
         computed = self._domain.computed
         return {text: exact(n) for text, n in values.items() if head_of(text) not in computed}
-
-
-def _lifted(amount: Number) -> Number:
-    """Return a ground number in the form of a formula."""
-    if not isinstance(amount, tuple):
-        return amount
-    if amount[0] == "n":
-        name, *words = amount[1][1:-1].split()
-        return "n", name, tuple(words)
-    return amount[0], *(_lifted(part) for part in amount[1:])
 
 
 def merged(schema: Schema, *, has_axioms: bool) -> Schema | None:

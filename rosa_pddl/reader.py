@@ -5,12 +5,11 @@ refused where it stands.
 """
 
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import reduce
-from graphlib import CycleError, TopologicalSorter
+from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any, Final, TypeAlias, TypeVar
 
@@ -18,7 +17,6 @@ from rosa_pddl.domain import (
     ACTION_TYPE,
     DURATION,
     FEASIBLE,
-    OPERATORS,
     TIME,
     TRUE,
     Axiom,
@@ -30,10 +28,10 @@ from rosa_pddl.domain import (
     PddlError,
     Schema,
     Signature,
-    TimedFact,
     UnknownNameError,
     UnsupportedPddlError,
     Variables,
+    atom_text,
     conjuncts,
     exact,
     names_in,
@@ -59,6 +57,7 @@ _ONLY_PLANNED = frozenset(
         "preferences",
         "processes",
         "timed-initial-fluents",
+        "timed-initial-literals",
         "trajectory-constraints",
     ]
 )
@@ -180,17 +179,11 @@ class Goal:
 def conditions(domain: Domain, text: str, worth: float | None = None) -> tuple[Goal, ...]:
     """Read a condition; a conjunction is split into its parts."""
     where = f"condition {text.strip()!r}"
-
-    def unknown(tree: Tree, message: str) -> Exception:
-        return UnknownNameError(f"{where}: found {_text(tree)!r}, {message}")
-
-    names = domain.kinds, domain.signatures, domain.types
-    formulas = Formulas(*names, domain.axioms.keys(), unknown)
     tree = parse(text, where)
     if not tree:
         raise PddlError("found (), expected a list such as '(predicate object)'", where)
     with _guarded(where):
-        condition = formulas.condition(tree, {})
+        condition = _formulas_of(domain, where).condition(tree, {})
     goals = list[Goal]()
     for part in conjuncts([condition]):
         read = domain.computed | domain.compared
@@ -201,6 +194,28 @@ def conditions(domain: Domain, text: str, worth: float | None = None) -> tuple[G
             raise UnsupportedPddlError(f"{message}; compared are {compared}", where)
         goals.append(Goal(text_of(part), part, worth))
     return tuple(goals)
+
+
+def atom_of(domain: Domain, text: str) -> str:
+    """Return an atom or a number as the files spell it, e.g. `(lit room)` for `lit ROOM`.
+
+    Raises:
+        UnknownNameError: a name is unknown, or the predicate is derived.
+    """
+    atoms: dict[str, str] = domain.cache.setdefault("atoms", {})
+    if text not in atoms:
+        tree = parse(f"({text.strip().removeprefix('(').removesuffix(')')})", repr(text))
+        if _head(tree) in domain.axioms:
+            raise UnknownNameError(f"{text!r} is derived: it is neither stated nor sensed")
+        atoms[text] = atom_text(*_formulas_of(domain, domain.file).application(tree, {}))
+    return atoms[text]
+
+
+def _formulas_of(domain: Domain, where: str) -> "Formulas":
+    def unknown(tree: Tree, message: str) -> Exception:
+        return UnknownNameError(f"{where}: found {_text(tree)!r}, {message}")
+
+    return Formulas(domain.kinds, domain.signatures, domain.types, unknown)
 
 
 @contextmanager
@@ -219,7 +234,6 @@ class Formulas:
     kinds: Mapping[str, tuple[str, tuple[str, ...]]]
     signatures: Mapping[str, Signature]
     types: Mapping[str, tuple[str, ...]]
-    derived: Collection[str]
     unknown: Callable[[Tree, str], Exception] = _error
     duration: Number = None
 
@@ -275,48 +289,36 @@ class Formulas:
         """Return a type and its ancestors, in lower case."""
         return self._known(kind, "type", self.kinds)[1]
 
-    def atom(self, tree: Tree, scope: Scope, *, changes: bool = False) -> Formula:
-        """Read an atom; with `changes`, one that is stated or changed, so that is not derived."""
-        if changes and _head(tree) in self.derived:
-            raise _error(tree, "which is derived: it is neither stated nor changed")
-        return "atom", *self._application(tree, scope, is_number=False)
+    def atom(self, tree: Tree, scope: Scope) -> Formula:
+        """Read an atom."""
+        return "atom", *self.application(tree, scope, is_number=False)
 
     def number(self, tree: Tree, scope: Scope) -> Number:
         """Read a constant, a number of the domain, or an operator with its parts."""
         if isinstance(tree, str):
             if tree.lower() == TIME:
                 return "n", TIME, ()
-            is_duration = tree.lower() == DURATION and self.duration is not None
-            return self.duration if is_duration else self.constant(tree)
+            if tree.lower() == DURATION and self.duration is not None:
+                return self.duration
+            if not _NUMBER.fullmatch(tree.lower()):
+                raise _error(tree, "expected a number")
+            return exact(Fraction(tree.lower()))
         head = _head(tree)
         if head == TIME:
             return "n", TIME, ()
         if head not in ("+", "-", "*", "/"):
-            return "n", *self._application(tree, scope, is_number=True)
+            return "n", *self.application(tree, scope, is_number=True)
         parts = [self.number(part, scope) for part in tree[1:]]
-        if head == "-" and len(parts) == 1:
-            parts.insert(0, 0)
-        if any(isinstance(part, tuple) for part in parts):
-            return head, *parts
-        try:
-            return reduce(OPERATORS[head], parts)
-        except ZeroDivisionError:
-            raise _error(tree, "expected a number") from None
+        return head, *([0] if head == "-" and len(parts) == 1 else []), *parts
 
-    def constant(self, word: Tree) -> Exact:
-        """Read a number that is written in digits."""
-        if not (isinstance(word, str) and _NUMBER.fullmatch(word.lower())):
-            raise _error(word, "expected a number")
-        return exact(Fraction(word.lower()))
-
-    def _application(
-        self, tree: Tree, scope: Scope, *, is_number: bool
+    def application(
+        self, tree: Tree, scope: Scope, *, is_number: bool | None = None
     ) -> tuple[str, tuple[str, ...]]:
         """Return the name and the terms of an atom, or of a number."""
         if not _head(tree):
             raise _error(tree, "expected a list such as '(predicate object)'")
         signature = self._known(tree[0], "predicate", self.signatures)
-        if signature.is_number is not is_number:
+        if is_number not in (None, signature.is_number):
             expected = "a predicate, expected a number"
             if signature.is_number:
                 expected = "a number, expected a predicate; compare it, as in (> (x) 0)"
@@ -325,8 +327,9 @@ class Formulas:
         if len(terms) != len(signature.types):
             raise self.unknown(tree, f"expected {len(signature.types)} arguments: {signature}")
         for term, expected in zip(terms, signature.types, strict=True):
-            lineage = self.types[term] if term in self.types else self.kinds[scope[term].lower()][1]
-            if expected.lower() not in lineage:
+            lineage = self.types.get(term) or self.kinds[scope[term].lower()][1]
+            # in files, Kairos has looked at the types
+            if self.unknown is not _error and expected.lower() not in lineage:
                 raise self.unknown(tree, f"whose arguments are of other types than {signature}")
         return signature.name, terms
 
@@ -361,18 +364,17 @@ def load_domain(
     """Read a PDDL domain and problem.
 
     Names keep the spelling of the files; an object, an action, a predicate and a type may have the
-    same name. If the files do not say which ROSA action a PDDL action does, `actions` says it:
-    an action in it gets the condition `(over all (action_feasible ...))` if it lacks that.
+    same name.
 
     Args:
         domain: path of the domain file, or a `Problem` of unified-planning.
         problem: path of the problem file; None if objects, facts and goals come from Python.
-        actions: for each PDDL action, the ROSA action that it does: its name, or the parameter
-            for it, such as `?a`.
+        actions: for PDDL actions of a domain without ROSA's predicates, the ROSA actions that they
+            do; they get the condition `(over all (action_feasible ...))`.
 
     Raises:
         PddlError: a file cannot be read or is not correct PDDL; the message gives the place.
-        UnknownNameError: `actions` names a PDDL action or a parameter that is not in the files.
+        UnknownNameError: `actions` names a PDDL action that there is not.
         UnsupportedPddlError: correct PDDL that cannot be planned here.
     """
     if hasattr(domain, "fluents"):
@@ -445,7 +447,7 @@ class _Reader:
     )
     signatures: dict[str, Signature] = field(default_factory=dict)
     types: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    places: dict[tuple[str, str], tuple[str, int]] = field(default_factory=dict)
+    places: dict[str, tuple[str, int]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
     def domain(self) -> Domain:
@@ -455,20 +457,17 @@ class _Reader:
         for tree in self.root[2:]:
             if _head(tree) == ":derived":
                 rules.setdefault(_head(tree[1]), []).append(tree)
-        self._formulas = Formulas(self.kinds, self.signatures, self.types, rules.keys())
+        self._formulas = Formulas(self.kinds, self.signatures, self.types)
         self._read_types()
         for tree in (*section(self.root, ":predicates"), *(each[0][1] for each in rules.values())):
             self._declare_signature(tree, is_number=False)
-        if self.does:
-            feasible = Signature(FEASIBLE, (("?a", ACTION_TYPE),), False)
-            self.signatures.setdefault(FEASIBLE, feasible)
         for tree in section(self.root, ":functions"):
             if isinstance(tree, tuple):
                 self._declare_signature(tree, is_number=True)
         self._read_objects(section(self.root, ":constants"))
         self._read_objects(section(self.problem, ":objects"))
         bodies = [tree for tree in self.root[2:] if _head(tree) in _BODIES]
-        self._read_rosa_actions([str(tree[1]) for tree in bodies], file)
+        self._declare_rosa_actions([str(tree[1]) for tree in bodies])
         domain = Domain(
             name=str(self.root[1][1]),
             file=file,
@@ -488,15 +487,13 @@ class _Reader:
     def _with_formulas(self, domain: Domain, rules: Mapping[str, list[Tree]]) -> Domain:
         facts = set[str]()
         numbers = dict[str, Exact]()
-        timed = list[TimedFact]()
         for tree in section(self.problem, ":init"):
-            self._read_fact(tree, facts, numbers, timed)
+            self._read_fact(tree, facts, numbers)
         goal = [self._formulas.condition(tree, {}) for tree in section(self.problem, ":goal")]
         domain = replace(
             domain,
             facts=frozenset(facts),
             numbers=numbers,
-            timed=tuple(sorted(timed)),
             goal=tuple(conjuncts(goal)),
             metric=self._metric(),
             axioms=self._axioms(rules),
@@ -520,18 +517,13 @@ class _Reader:
             names[name.lower()] = name
             is_root = parent.lower() == name.lower()
             above[name.lower()] = ["object" if is_root else parent.lower()]
-        if self.does:
-            names.setdefault(ACTION_TYPE, Word(ACTION_TYPE))
         names.pop("object", None)
-        try:
-            in_order = list(
-                TopologicalSorter({n: above.get(n, ["object"]) for n in names}).static_order()
-            )
-        except CycleError as error:
-            raise _error(names[error.args[1][0]], "which is above itself") from error
-        for kind in in_order[1:]:
-            parent_kind = above.get(kind, ["object"])[0]
-            self.kinds[kind] = (str(names[kind]), (kind, *self.kinds[parent_kind][1]))
+        above.pop("object", None)
+        for kind in names:
+            above.setdefault(kind, ["object"])
+        for kind in TopologicalSorter(above).static_order():
+            if kind in above:
+                self.kinds[kind] = (str(names[kind]), (kind, *self.kinds[above[kind][0]][1]))
 
     def _declare_signature(self, tree: Tree, *, is_number: bool) -> None:
         variables, _ = self._formulas.variables(tree[1:])
@@ -547,30 +539,23 @@ class _Reader:
             same = next((each for each in self.types if each.lower() == name.lower()), None)
             if same is None:
                 self.types[str(name)] = lineage
-                self.places["object", str(name)] = (name.file, name.line or 0)
+                self.places[str(name)] = (name.file, name.line or 0)
                 continue
-            file, line = self.places["object", same]
+            file, line = self.places[same]
             if self.types[same] != lineage:
                 raise _error(name, f"which was declared before, in line {line} of {file}")
             if file == name.file:
                 self.notes.append(f"{file}:{name.line}: the object {str(name)!r} is declared twice")
 
-    def _read_rosa_actions(self, names: Collection[str], file: str) -> None:
+    def _declare_rosa_actions(self, schemas: list[str]) -> None:
         """Declare the ROSA actions that PDDL actions are said to do."""
-        for name, action in self.does.items():
-            if name not in names:
-                raise UnknownNameError(
-                    f"{file} has no PDDL action {name!r}; {nearest(name, names)}"
-                )
-            if action.startswith("?"):
-                continue
-            same = [other for other in self.types if other.lower() == action.lower()]
-            if not same:
-                self.types[action] = self.kinds[ACTION_TYPE][1]
-                self.places["object", action] = (file, 0)
-            elif ACTION_TYPE not in self.types[same[0]]:
-                message = f"the object {action!r} of {file} is not of type {ACTION_TYPE!r}"
-                raise UnknownNameError(message)
+        for schema, action in self.does.items():
+            if schema not in schemas:
+                raise UnknownNameError(f"no PDDL action {schema!r}; {nearest(schema, schemas)}")
+            self.kinds.setdefault(ACTION_TYPE, (ACTION_TYPE, (ACTION_TYPE, "object")))
+            signature = Signature(FEASIBLE, (("?a", ACTION_TYPE),), False)
+            self.signatures.setdefault(FEASIBLE, signature)
+            self.types.setdefault(action, (ACTION_TYPE, "object"))
 
     # ------------------------------------------------------------ actions
 
@@ -584,16 +569,10 @@ class _Reader:
         does = self.does.get(schema.name)
         if does is None:
             return replace(schema, action=_rosa_action_of(schema))
-        if does.startswith("?") and does not in dict(variables):
-            message = f"the PDDL action {schema.name!r} has no parameter {does!r}"
-            raise UnknownNameError(f"{message}; {nearest(does, dict(variables))}")
-        if FEASIBLE not in {name.lower() for name in names_in(schema.conditions)}:
-            needed: Formula = ("atom", self.signatures[FEASIBLE].name, (does,))
-            if schema.duration is None:
-                schema = replace(schema, start=(*schema.start, needed))
-            else:
-                schema = replace(schema, over_all=(*schema.over_all, needed))
-        return replace(schema, action=does.removeprefix("?"))
+        feasible: Formula = ("atom", FEASIBLE, (does,))
+        if schema.duration is None:
+            return replace(schema, start=(*schema.start, feasible), action=does)
+        return replace(schema, over_all=(*schema.over_all, feasible), action=does)
 
     # ------------------------------------------------------------ derived predicates
 
@@ -613,10 +592,6 @@ class _Reader:
                     for name, truth in _polarities(formula, True):
                         if name.lower() in read:
                             layers[head] = max(layers[head], before[name.lower()] + (not truth))
-        if layers != before:
-            head = max(layers, key=lambda name: layers[name])
-            message = f"but {head!r} is derived from its own negation, which means nothing"
-            raise _error(rules[head][0], message, UnsupportedPddlError)
         axioms = dict[str, tuple[Axiom, ...]]()
         for head, cases in read.items():
             axioms[head] = tuple(Axiom(*case, layers[head]) for case in cases)
@@ -624,29 +599,22 @@ class _Reader:
 
     # ------------------------------------------------------------ the problem
 
-    def _read_fact(
-        self, tree: Tree, facts: set[str], numbers: dict[str, Exact], timed: list[TimedFact]
-    ) -> None:
+    def _read_fact(self, tree: Tree, facts: set[str], numbers: dict[str, Exact]) -> None:
         """Add what one part of `:init` states."""
         formulas = self._formulas
         head = _head(tree)
         if head == "and":
             for part in tree[1:]:
-                self._read_fact(part, facts, numbers, timed)
-        elif head == "at" and isinstance(tree[1], str) and _NUMBER.fullmatch(tree[1].lower()):
-            is_true = _head(tree[2]) != "not"
-            inner = tree[2] if is_true else tree[2][1]
-            atom = text_of(formulas.atom(inner, {}, changes=True))
-            timed.append(TimedFact(float(tree[1]), atom, is_true))
+                self._read_fact(part, facts, numbers)
         elif head == "=":
             text = text_of(formulas.number(tree[1], {}))
             if text in numbers:
                 raise _error(tree, "which is a second value, expected one")
-            numbers[text] = formulas.constant(tree[2])
+            numbers[text] = formulas.number(tree[2], {})
         elif head == "not":
-            formulas.atom(tree[1], {}, changes=True)
+            formulas.atom(tree[1], {})
         else:
-            facts.add(text_of(formulas.atom(tree, {}, changes=True)))
+            facts.add(text_of(formulas.atom(tree, {})))
 
     def _metric(self) -> Number:
         metric = section(self.problem, ":metric")
@@ -764,10 +732,7 @@ class _ActionReader:
     def _bounds(self, tree: Tree) -> Iterator[tuple[str, Number]]:
         """Yield the first sign of each comparison, and the number."""
         if _head(tree) in ("=", *_COMPARISONS):
-            value = self.formulas.number(tree[2], self.scope)
-            if not isinstance(value, tuple) and value < 0:
-                raise _error(tree, "expected a duration of 0 s or more")
-            yield tree[0][0], value
+            yield tree[0][0], self.formulas.number(tree[2], self.scope)
             return
         for part in tree:
             if isinstance(part, tuple):
@@ -817,7 +782,7 @@ class _ActionReader:
         else:
             is_deleted = kind == "not"
             kind = "delete" if is_deleted else "add"
-            atom = formulas.atom(tree[1] if is_deleted else tree, where.scope, changes=True)
+            atom = formulas.atom(tree[1] if is_deleted else tree, where.scope)
         return Effect(kind, atom[1], atom[2], where.condition, where.variables, amount)
 
     def _time_of(self, tree: Tree) -> str | None:

@@ -1,6 +1,5 @@
 """Asks the planner for plans, and finds out why there is none."""
 
-import logging
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
@@ -25,8 +24,6 @@ from rosa_pddl.planner import wait_for_plan
 from rosa_pddl.problem import Outcome, PlanningResult, Problem
 from rosa_pddl.reader import Goal, conditions
 from rosa_pddl.validate import goal_holds
-
-_LOG = logging.getLogger(__name__)
 
 # Sums of tick lengths may miss the due time by a rounding error; shorter times count as none [s].
 _CLOCK_RESOLUTION_S = 1e-6
@@ -268,11 +265,6 @@ class PlannerClient:
         """Whether a question is open."""
         return self._question is not None
 
-    @property
-    def was_answered_at_once(self) -> bool:
-        """Whether the answer to the open question may be taken in the tick of the request."""
-        return self._delay_s is None and self.has_answer
-
     def ask(self, problem: Problem, reason: str = "", cause: int | None = None) -> None:
         """Ask for a plan; an open question is given up."""
         self.give_up()
@@ -285,14 +277,9 @@ class PlannerClient:
 
     @property
     def has_answer(self) -> bool:
-        """Whether the answer is there and due, or is so late that it is given up."""
+        """Whether the answer is there and due."""
         question = self._question
-        if question is None or not self._is_due(question):
-            return False
-        # with a delay, simulated time does not tell whether the planner keeps its time limit
-        passed_s = self.clock() - question.at_s
-        is_late = self._delay_s is None and passed_s > self._planner.timeout_s + _GRACE_S
-        return question.future.done() or is_late
+        return question is not None and self._is_due(question) and question.future.done()
 
     def take(self) -> tuple[_Question, PlanningResult]:
         """Return the request and its answer."""
@@ -310,8 +297,8 @@ class PlannerClient:
             wait_for_plan(self._question.future, self._planner.timeout_s + _GRACE_S)
         except PlanningBudgetError:
             raise
-        except Exception as error:  # it is reported by name when the answer is taken
-            _LOG.debug("the planner raised %r", error)
+        except Exception:  # it is reported by name when the answer is taken
+            return
 
     def give_up(self) -> None:
         """Give up the open question."""
@@ -324,11 +311,6 @@ class PlannerClient:
 
     def _answer(self, question: _Question) -> PlanningResult:
         engine = str(getattr(self._planner, "engine", type(self._planner).__name__))
-        if not question.future.done():
-            passed_s = self.clock() - question.at_s
-            message = f"{engine} gave no answer in {passed_s:.3g} s"
-            message += "; allow more time or ask for less"
-            return PlanningResult(Outcome.OUT_OF_TIME, engine=engine, message=message)
         try:
             return question.future.result()
         except Exception as error:  # a planner of the user's own may raise anything
@@ -641,16 +623,15 @@ class Replanning:
             reasons: Reasons = concluded.value
             done = self._monitor.holding(reasons.reachable, state)
             if not self._is_last_try and len(done) < len(reasons.reachable):
-                self._leave_out([goal for goal in self.hard if goal not in reasons.reachable], why)
+                self._leave_out([goal for goal in self.hard if goal not in reasons.reachable])
             else:
                 self._conclude(replace(problem, state=state), [why, *reasons.sentences])
 
-    def _leave_out(self, goals: Sequence[Goal], why: str) -> None:
+    def _leave_out(self, goals: Sequence[Goal]) -> None:
         """Leave out goals for now, and plan for the others."""
         self.left_out = (*self.left_out, *goals)
         names = ", ".join(goal.text for goal in goals)
         self.want(f"{names} out of reach for now; the others first")
-        _LOG.info("%s left out: %s", names, why)
 
     def _conclude(self, problem: Problem, why: Sequence[str]) -> None:
         sentences = [*why, *map(str, self._effects.unmet)]

@@ -30,6 +30,7 @@ from rosa_pddl.domain import (
     conjuncts,
     head_of,
     names_in,
+    parts_of,
     text_of,
 )
 from rosa_pddl.grounding import (
@@ -40,7 +41,6 @@ from rosa_pddl.grounding import (
     binding_of,
     cost_of,
     substituted,
-    texts_in,
     with_types,
 )
 from rosa_pddl.problem import Problem
@@ -88,11 +88,10 @@ class Graph(Protocol[S, T]):
 
 
 class Path(NamedTuple, Generic[S, T]):
-    """A cheapest path with its cost and usage."""
+    """A cheapest path with its cost."""
 
     moves: tuple[Move[S, T], ...]
     cost: Any
-    uses: tuple[Any, ...]
 
 
 class _Label(NamedTuple, Generic[S, T]):
@@ -133,7 +132,7 @@ def cheapest(
         if _is_dominated(uses, front):
             continue
         if graph.is_goal(label.state):
-            return Path(_moves(label), label.spent[0], uses)
+            return Path(_moves(label), label.spent[0])
         front[:] = [uses, *(other for other in front if not _is_dominated(other, [uses]))]
         go_on()
         for move in graph.moves(label.state):
@@ -219,7 +218,7 @@ class Grounded:
     """
 
     def __init__(self, domain: Domain, base: State, go_on: Callable[[int], None]) -> None:
-        if domain.only_planned or domain.timed:
+        if domain.only_planned:
             raise UnsearchableError("facts change by themselves")
         self.base = frozenset(atom for atom in base if not atom.startswith("(= "))
         self._derived = domain.derived
@@ -358,7 +357,7 @@ class TaskGraph:
             if not weight or not each.needs - self._moving <= self._problem.state:
                 continue
             cost = cost_of(self._domain, step)
-            if not any(head_of(text) in self._domain.computed for text in texts_in(cost)):
+            if not names_in([cost]) & self._domain.computed:
                 cost = self._value(cost)
             binding = binding_of(self._domain, step)
             uses: dict[str, Exact] = dict.fromkeys(self.limits, 0)
@@ -374,7 +373,7 @@ class TaskGraph:
     def _value(self, number: Number) -> Exact:
         value = self._values.number(number, {})
         if value is None:
-            texts = sorted(texts_in(number))
+            texts = [text_of(part) for part in parts_of(number) if part[0] == "n"]
             unknown = next(text for text in texts if self._values.value_of(text) is None)
             message = f"{unknown} is needed but has no value; state '(= {unknown} NUMBER)' in"
             file = self._domain.problem_file

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import replace
 from functools import lru_cache, reduce
 from itertools import accumulate, permutations
 from math import inf
@@ -16,14 +15,12 @@ from rosa_pddl.domain import (
     Exact,
     Formula,
     Number,
-    Schema,
     State,
     Step,
     atom_text,
     bound,
     exact,
     head_of,
-    names_in,
     number_fact,
     numbers_in,
     subject_of,
@@ -113,8 +110,7 @@ class Values:
             return number  # type: ignore[no-any-return]  # it is exact
         head, *parts = number
         if head == "n":
-            text = parts[0] if len(parts) == 1 else atom_text(parts[0], bound(parts[1], binding))
-            return self.value_of(text)
+            return self.value_of(atom_text(parts[0], bound(parts[1], binding)))
         values = [self.number(part, binding) for part in parts]
         if None in values or (head == "/" and 0 in values[1:]):
             return None
@@ -375,7 +371,6 @@ def flaw(
     state: State,
     goals: Iterable[Formula] | None = None,
     until: Mapping[str, float] | None = None,
-    ends_s: Sequence[float] = (),
     numbers: Mapping[str, float] | None = None,
 ) -> str | None:
     """Return in words why a plan does not lead from a state to the goal; None if it does.
@@ -386,56 +381,21 @@ def flaw(
         state: the true atoms at the start.
         goals: the goals, as formulas; by default the goal of the problem file.
         until: how much longer feasibility facts hold, see `Problem` [s].
-        ends_s: when each step of a sequence ends [s]; by default from the declared durations.
         numbers: the values of numbers where they differ from the problem file.
     """
     listed = list(plan)
     schedule = [each for each in listed if isinstance(each, TimedStep)]
     steps = [each for each in listed if isinstance(each, Step)]
     planned: Iterable[Sequence[StepEvent]] = one_after_the_other(len(steps))
+    ends_s = list(accumulate(takes_s(domain, step, state, numbers) for step in steps))
     if schedule:
-        domain, schedule = _with_timed_facts(domain, schedule)
-        values = Values(domain, state, numbers)
-        for timed in schedule:
-            if not _lasts_as_declared(values, timed):
-                return f"{timed.step} takes {timed.duration_s:g} s, which is not its duration"
         planned = moments(schedule)
         steps = [timed.step for timed in schedule]
         ends_s = [timed.end_s for timed in schedule]
-    elif until:
-        ends_s = ends_s or tuple(accumulate(takes_s(domain, step, state) for step in steps))
     wrong, facts = replay(domain, steps, planned, state, until=until, ends_s=ends_s)
     if wrong is None and not goal_holds(domain, facts, goals):
         return "the plan does not reach the goal"
     return wrong
-
-
-def _with_timed_facts(domain: Domain, schedule: list[TimedStep]) -> tuple[Domain, list[TimedStep]]:
-    """Add facts that change by themselves as instantaneous steps."""
-    schemas = dict(domain.schema_of)
-    steps = list(schedule)
-    for number, fact in enumerate(domain.timed):
-        name, *words = fact.atom[1:-1].split()
-        effect = Effect("add" if fact.is_true else "delete", name, tuple(words))
-        schemas[f"@{number}"] = Schema(f"@{number}", (), end_effects=(effect,))
-        steps.append(TimedStep(Step(f"@{number}"), fact.at_s, 0.0))
-    return (replace(domain, schema_of=schemas), steps) if domain.timed else (domain, schedule)
-
-
-def _lasts_as_declared(values: Values, timed: TimedStep) -> bool:
-    """Whether a step lasts as declared; a duration that depends on what changes is not checked."""
-    domain = values.domain
-    duration = domain.schema_of[timed.step.schema].duration
-    if duration is None:
-        return timed.duration_s == 0.0
-    binding = binding_of(domain, timed.step)
-    bounds = list[float]()
-    for bound_s, otherwise in zip(duration, (0.0, inf), strict=True):
-        is_fixed = not names_in([bound_s]) & domain.computed
-        value = values.number(bound_s, binding) if is_fixed else None
-        bounds.append(otherwise if value is None else float(value))
-    least, most = bounds
-    return timed.duration_s > 0.0 and least - SAME_TIME_S <= timed.duration_s <= most + SAME_TIME_S
 
 
 def moments(schedule: Sequence[TimedStep]) -> Iterator[list[StepEvent]]:

@@ -153,6 +153,13 @@ class Cross(RosaAction):
     `choose` returns the leg that is planned now.
     """
 
+    measures = ("light", "obstacles", "way")  # the demands of the corridor, as planned
+
+    def brings(self) -> frozenset[str]:
+        """Return the percepts that hold when it has succeeded, for `rosa verify`."""
+        leg = self._choose()
+        return frozenset() if leg is None else frozenset({f"at {leg.to}"})
+
     def __init__(self, route: Route, corridor: str, choose: Callable[[], Leg | None]) -> None:
         super().__init__(f"cross {corridor}", route.kb, f"cross_{corridor}")
         self.corridor = corridor

@@ -353,7 +353,7 @@ class AgvKind(WorldKind):
     def settings(self) -> tuple[Setting, ...]:
         return declared(Settings)
 
-    def open(self, values: Mapping[str, str], rng: Generator) -> BuildingWorld:
+    def open(self, values: Mapping[str, Any], rng: Generator) -> BuildingWorld:
         return BuildingWorld(self._building, Settings.read(values), rng, self._incidents)
 
     def verdict(

@@ -77,14 +77,14 @@ class SystemModes:
         component, modes = FUNCTIONS[function]
         if mode == before:
             return
-        had = modes[before] if before else None
+        had = modes[before] if before else _OFF
         wanted = modes[mode]
         self._requested[function] = mode
-        if wanted.parameters and (had is None or had.parameters != wanted.parameters):
+        if wanted.parameters and had.parameters != wanted.parameters:
             self._robot.set_parameters(component, wanted.parameters)
-        if wanted.active and (had is None or not had.active):
+        if wanted.active and not had.active:
             self._robot.activate(component)
-        elif not wanted.active and had is not None and had.active:
+        elif had.active and not wanted.active:
             self._robot.deactivate(component)
 
     def is_in(self, function: str, mode: str) -> bool:
@@ -155,7 +155,7 @@ class TreeManager(ModesManager):
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
         self.period_s = robot.settings.tree_period_s
-        self.root = _tree(robot, self.modes)
+        self.root = _tree(self)
 
     @property
     def is_done(self) -> bool:
@@ -165,7 +165,7 @@ class TreeManager(ModesManager):
         self.root.tick_once()
 
 
-class _RequestMode(Behaviour):
+class _Request(Behaviour):
     """Requests a mode, unless it is the one requested last; succeeds at once."""
 
     def __init__(self, modes: SystemModes, function: str, mode: str) -> None:
@@ -179,103 +179,93 @@ class _RequestMode(Behaviour):
         return Status.SUCCESS
 
 
-class _DoTask(Behaviour):
-    """Does a task until `until` is published once more.
+class _Do(Behaviour):
+    """Does a task until `until` is published once more; ends it then, or when halted."""
 
-    Then, or when halted, it ungrounds the functions.
-    """
-
-    def __init__(
-        self, robot: Robot, modes: SystemModes, task: str, until: str, functions: tuple[str, ...]
-    ) -> None:
+    def __init__(self, manager: ModesManager, task: str, until: str) -> None:
         super().__init__(task)
-        self._robot = robot
-        self._modes = modes
-        self._task = task
+        self._manager = manager
+        self._robot = manager.robot
         self._until = until
-        self._functions = functions
         self._before = 0
 
     def initialise(self) -> None:
-        self._robot.begin(self._task)
+        self._robot.begin(self.name)
         self._before = self._robot.percepts.count(self._until)
 
     def update(self) -> Status:
-        return (
-            Status.SUCCESS
-            if self._robot.percepts.count(self._until) > self._before
-            else Status.RUNNING
-        )
+        is_done = self._robot.percepts.count(self._until) > self._before
+        return Status.SUCCESS if is_done else Status.RUNNING
 
     def terminate(self, new_status: Status) -> None:
         if self.status is Status.RUNNING or new_status is Status.SUCCESS:
             self._robot.end("completed" if new_status is Status.SUCCESS else "abandoned")
-            for function in self._functions:
-                self._modes.request(function, UNGROUND)
+            if self.name in MODES:
+                self._manager.end(self.name)
 
 
-def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
+def _tree(manager: ModesManager) -> Behaviour:
+    robot = manager.robot
     measured = robot.measured
-    heard = robot.percepts.count
 
     def request(function: str, mode: str) -> Behaviour:
-        return _RequestMode(modes, function, mode)
+        return _Request(manager.modes, function, mode)
 
-    def do(task: str, until: str, *functions: str) -> Behaviour:
-        return _DoTask(robot, modes, task, until, functions)
+    def sequence(name: str, *children: Behaviour) -> Behaviour:
+        return Sequence(name, memory=False, children=[*children])
 
     def altitude(mode: str, least_m: float) -> Behaviour:
-        clear = Condition(
-            f"visibility >= {least_m} m?", lambda: measured.get("water_visibility", 9.0) >= least_m
-        )
-        return Sequence(mode, memory=False, children=[clear, request(SEARCH, mode)])
+        def is_clear() -> bool:
+            return measured.get("water_visibility", 9.0) >= least_m
+
+        clear = Condition(f"visibility >= {least_m} m?", is_clear)
+        return sequence(mode, clear, request(SEARCH, mode))
+
+    def is_charged() -> bool:
+        return bool(np.float32(measured.get("battery_level", 1.0)) >= LOW_LEVEL)
 
     works = Condition(
         "all thrusters ok?", lambda: {"RECOVERED", "OK"}.issuperset(robot.reported.values())
     )
-    all_of_them = Sequence(
-        "thrusters ok", memory=False, children=[works, request(MOTION, "fd_all_thrusters")]
-    )
-    motion = Selector(
-        "motion", memory=False, children=[all_of_them, request(MOTION, "fd_recover_thrusters")]
-    )
+    ways = [
+        sequence("thrusters ok", works, request(MOTION, "fd_all_thrusters")),
+        request(MOTION, "fd_recover_thrusters"),
+    ]
     altitudes = [
-        altitude(f"fd_spiral_{name}", m)
-        for name, m in (("high", 3.25), ("medium", 2.25), ("low", 1.25))
+        altitude("fd_spiral_high", 3.25),
+        altitude("fd_spiral_medium", 2.25),
+        altitude("fd_spiral_low", 1.25),
     ]
-    search = [
-        Selector("altitude", memory=False, children=altitudes),
-        do("search_pipeline", "pipeline_found", SEARCH),
-    ]
-    is_found = Condition("found?", lambda: heard("pipeline_found") > 0)
-    inspect = [
-        request(FOLLOW, "fd_follow_pipeline"),
-        do("inspect_pipeline", "pipeline_inspected", FOLLOW),
-    ]
-    work = [
-        Condition(
-            "battery ok?", lambda: bool(np.float32(measured.get("battery_level", 1.0)) >= LOW_LEVEL)
+    find = [
+        Condition("found?", lambda: robot.percepts.count("pipeline_found") > 0),
+        sequence(
+            "search",
+            Selector("altitude", memory=False, children=altitudes),
+            _Do(manager, "search_pipeline", "pipeline_found"),
         ),
-        Selector(
-            "find",
-            memory=True,
-            children=[is_found, Sequence("search", memory=False, children=search)],
-        ),
-        Sequence("inspect", memory=False, children=inspect),
     ]
+    inspect = _Do(manager, "inspect_pipeline", "pipeline_inspected")
     recharge = [
         request(SEARCH, UNGROUND),
         request(FOLLOW, UNGROUND),
         request(RECHARGE, "normal"),
-        do("recharge", "battery_recharged"),
+        _Do(manager, "recharge", "battery_recharged"),
         request(RECHARGE, "inactive"),
     ]
     either = [
-        Sequence("work", memory=False, children=work),
+        sequence(
+            "work",
+            Condition("battery ok?", is_charged),
+            Selector("find", memory=True, children=find),
+            sequence("inspect", request(FOLLOW, "fd_follow_pipeline"), inspect),
+        ),
         Sequence("recharge", memory=True, children=recharge),
     ]
-    root = [motion, Selector("work or recharge", memory=True, children=either)]
-    return Sequence("mission", memory=False, children=root)
+    return sequence(
+        "mission",
+        Selector("motion", memory=False, children=ways),
+        Selector("work or recharge", memory=True, children=either),
+    )
 
 
 # -------------------------------------------------------------------- Metacontrol

@@ -94,26 +94,6 @@ class Policy(ManagerBase):
 class Fixed(Policy):
     """Keeps its choice for an action until the action ends; only the task layer adapts."""
 
-    options = (
-        Setting(
-            "use", "", "-", "designs and configurations, separated by commas; else by priority", "-"
-        ),
-    )
-
-    def __init__(self, model: Model, rng: "Generator", values: Mapping[str, Any]) -> None:
-        super().__init__(model, rng, values)
-        self.preferred = [name.strip() for name in values["use"].split(",") if name.strip()]
-        names = [*model.designs, *model.configurations]
-        for name in self.preferred:
-            if name not in names:
-                raise MissionError(f"setting use names {name!r}; the model has {', '.join(names)}")
-
-    def pick(
-        self, kb: KnowledgeBase, possible: Sequence[Part], selected: Part | None
-    ) -> Part | None:
-        preferred = [part for part in possible if part.name in self.preferred]
-        return super().pick(kb, preferred or possible, selected)
-
 
 class _DeafRun(RosaRun):
     """A run that hears of no failure."""
@@ -134,10 +114,8 @@ class Unmanaged(Fixed):
         mission = opening.mission
 
         def unconstrained() -> Model:
-            model = mission.model()
-            for constraint in model.constraints:
-                model.remove(constraint)
-            return model
+            rows = mission.model().plain()
+            return Model.from_plain([row for row in rows if row[0] != "constraint"])
 
         return super().open(opening._replace(mission=replace(mission, model=unconstrained)))
 

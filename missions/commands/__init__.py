@@ -58,11 +58,6 @@ def assignments(texts: Texts, option: str) -> dict[str, str]:
     return values
 
 
-def groups(texts: Texts) -> list[list[str]]:
-    """Read the values of an option such as `--exclusive A,B`."""
-    return [[name.strip() for name in text.split(",")] for text in texts or ()]
-
-
 def tree_builder(reference: str) -> Callable[..., object]:
     """Import a function given as module:callable.
 

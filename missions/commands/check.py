@@ -139,7 +139,7 @@ def _action(behaviour: IsActionFeasible | RosaAction) -> str:
 
 
 def _place(domain: Domain, name: str) -> str:
-    file, line = domain.places.get(("object", name), (domain.file, 0))
+    file, line = domain.places.get(name, (domain.file, 0))
     return f"{file}:{line}" if line else file
 
 
@@ -157,9 +157,7 @@ def _placed(
     """Yield findings with their places; actions are unmentioned only if all names are known."""
     for finding in findings:
         if finding.code == _UNKNOWN:
-            first, *others = places[finding.element]
-            more = f" and {len(others)} more" if others else ""
-            yield replace(finding, place=f"{first}{more}")
+            yield replace(finding, place=places[finding.element][0])
         elif finding.code != _UNMENTIONED or is_complete:
             yield finding
 

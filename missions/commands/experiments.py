@@ -58,8 +58,10 @@ def campaign(
     with Store(folder, asked, resume=resume) as store:
         try:
             chosen = processes(workers) if cluster is None else open_cluster(cluster)
-            title = f"[bold]{escape(store.campaign.name)}[/] in {escape(str(folder))}"
-            console.print(f"{title}, {chosen.size} at a time")
+            console.print(
+                f"[bold]{escape(store.campaign.name)}[/] in {escape(str(folder))}"
+                f", {chosen.size} at a time"
+            )
             with shown.progress:
                 written = conduct(store, folder, chosen, retry=retry, progress=shown)
         except (KeyboardInterrupt, SystemExit, MissionError):
@@ -123,7 +125,7 @@ def report(
 
 
 def learn(
-    runs: Annotated[list[Path], Argument(help="Recordings, and folders of campaigns.")],
+    runs: Annotated[list[Path], Argument(help="Recordings.")],
     model: Annotated[str, Option(help=ROBOT)],
 ) -> None:
     """Compare a model with runs: rates and durations, each with its interval."""

@@ -28,8 +28,9 @@ def new(
     if task not in ("bt", "pddl", "both"):
         raise MissionError(f"--task is {task!r}; there are bt, pddl and both")
     if not name.isidentifier() or name != name.lower() or keyword.iskeyword(name):
-        problem = f"such as my_robot; {name!r} cannot be one"
-        raise MissionError(f"a robot's name is that of a Python package, {problem}")
+        raise MissionError(
+            f"a robot's name is that of a Python package, such as my_robot; {name!r} cannot be one"
+        )
     folder = Path(name)
     if folder.exists() or find_spec(name) is not None:
         raise MissionError(f"there is something named {name} already; give the robot another name")

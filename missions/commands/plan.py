@@ -5,7 +5,7 @@ from typing import Annotated
 
 from typer import Argument, Exit, Option, echo
 
-from missions.commands import FAILED, UNFINISHED, File, Text, Texts, groups
+from missions.commands import FAILED, UNFINISHED, File, Text, Texts
 from missions.engine.mission import MissionError, find_mission
 from missions.engine.question import answer, ask, certified
 from missions.proof.verification import prove, setup_of
@@ -92,9 +92,6 @@ def verify(
     failures: Annotated[
         int, Option(min=0, help="How many components may have failed at once.")
     ] = 1,
-    exclusive: Annotated[
-        Texts, Option(metavar="A,B", help="Actions that exclude each other.")
-    ] = None,
     suggest: Annotated[
         bool, Option("--suggest", help="Look for what mends a broken tree.")
     ] = False,
@@ -109,7 +106,6 @@ def verify(
     setup = setup_of(
         find_mission(mission),
         failures=failures,
-        exclusive=groups(exclusive),
         most=most,
         seconds=seconds,
     )

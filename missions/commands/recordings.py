@@ -1,36 +1,27 @@
-"""`rosa replay` and `rosa record`: decide a recording again, look into it, or convert it."""
+"""`rosa replay`: decide a recording again."""
 
 import gc
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from difflib import unified_diff
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Final
 
-from rich.table import Table
-from typer import Exit, Option, Typer
+from typer import Exit, Option
 
 from kb import Event
-from kb.files import draft
 from missions.commands import FAILED, Breakpoints, File, Text, open_console, print_lines
 from missions.engine.mission import MISSIONS, MissionError, Verdict
 from missions.engine.percepts import MISSION_STATUS
-from missions.engine.recording import line_of, read_recording
+from missions.engine.recording import read_recording
 from missions.engine.runner import MissionRun
 from missions.testing.decisions import Decisions
 from missions.testing.decisions import replay as decide
 from missions.views.breakpoints import watch_breakpoints
-from missions.views.output import files_tried
 from missions.views.recorder import RunRecorder
 from missions.views.report import write_report
-from missions.wires.mcap import Bag, is_bag, messages, read_bag, write_in_chunks
-
-record = Typer(
-    help="Look at a recording, or put it in another form.",
-    no_args_is_help=True,
-    add_completion=False,
-)
+from missions.wires.mcap import Bag, is_bag, read_bag
 
 _DECISIVE: Final = ("request_action", "cancel_action", "select", "finish_plan")
 """The verbs of decisions and of their results."""
@@ -60,8 +51,10 @@ def replay(
         if not name:
             raise MissionError(f"{recording} names no mission; name one with --mission")
         if not mission and name not in MISSIONS and ":" not in name:
-            advice = "name it with --mission module:NAME"
-            raise MissionError(f"{recording} is of a mission {name!r} of your own; {advice}")
+            raise MissionError(
+                f"{recording} is of a mission {name!r} of your own; "
+                "name it with --mission module:NAME"
+            )
         pages: list[RunRecorder] = []
         runs: list[MissionRun] = []
 
@@ -72,7 +65,7 @@ def replay(
 
         watched = watch if report or stop_at else None
         task = task or run.get("task", "bt")
-        decisions = decide(bag, name, task=task, watch=watched, traced=False)
+        decisions = decide(bag, name, task=task, watch=watched)
     finally:
         gc.enable()
     stopped = runs[0].early_verdict if runs else None
@@ -87,8 +80,12 @@ def replay(
             open_console().print(str(moment), markup=False, soft_wrap=True)
     _print_notes(bag)
     if decisions.problems:
-        example = f"could not be used, e.g. {decisions.problems[0][1]}"
-        print_lines([f"{len(decisions.problems)} parts of messages {example}"])
+        print_lines(
+            [
+                f"{len(decisions.problems)} parts of messages "
+                f"could not be used, e.g. {decisions.problems[0][1]}"
+            ]
+        )
     if stopped is not None:
         print_lines([f"{stopped.reason}\n{stopped.detail}".rstrip()])
         return
@@ -107,45 +104,12 @@ def replay(
         print_lines(["decided as recorded"])
         return
     start_s = otherwise[0].split()[1]
-    print_lines([f"decided otherwise from {start_s} s on (-: recorded, +: now)"], "bold")
-    print_lines(_first(otherwise))
+    title = (
+        f"decided otherwise from {start_s} s on (-: recorded, +: now), in {len(otherwise)} lines"
+    )
+    print_lines([title], "bold")
+    print_lines(otherwise[:_SHOWN])
     raise Exit(FAILED)
-
-
-@record.command("info")
-def info(recording: Path) -> None:
-    """Say what a recording holds, and whether it is whole."""
-    bag = read_bag(recording)
-    values = [
-        f"{key} {bag.run[key]}" for key in ("mission", "task", "seed", "model") if key in bag.run
-    ]
-    times = [float(message["time"]) for message in bag.messages[-1:]]
-    times += [event.time for event in bag.events[-1:]]
-    run = ", ".join(values) or "no recording of ours"
-    print_lines([f"{recording}: {run}; {max(times, default=0.0):.1f} s"])
-    table = Table("topic", "type", "messages")
-    for topic, (kind, count) in sorted(bag.topics.items()):
-        table.add_row(topic, kind, str(count))
-    open_console().print(table)
-    _print_notes(bag)
-    if bag.cut:
-        raise Exit(FAILED)
-
-
-@record.command("convert")
-def convert(recording: Path, output: Path) -> None:
-    """Write a recording as MCAP, whole again, or its diagnostics as lines of JSON."""
-    if output.suffix not in (".mcap", ".jsonl"):
-        raise MissionError(f"{output} ends in neither .mcap nor .jsonl, which can be written")
-    bag = Bag()
-    with files_tried(f"write {output}"), draft(output) as part:
-        if output.suffix == ".jsonl":
-            bag = read_bag(recording)
-            part.write_text("".join(map(line_of, [bag.header(), *bag.messages])), encoding="utf-8")
-        else:
-            write_in_chunks(part, messages(recording, bag))
-        part.replace(output)
-    _print_notes(bag)
 
 
 def _silence(bag: Bag, decisions: Decisions, mission: str) -> str:
@@ -156,8 +120,11 @@ def _silence(bag: Bag, decisions: Decisions, mission: str) -> str:
     texts = {str(status["message"]).casefold() for some in statuses for status in some}
     if MISSION_STATUS in texts or any(moment.what == "heard" for moment in decisions.timeline):
         return ""
-    count = f"{len(statuses)} message{'s' if len(statuses) > 1 else ''}"
-    return f"was not understood: nothing in its {count} of diagnostics says anything to {mission}"
+    return (
+        "was not understood: nothing in its "
+        f"{len(statuses)} message{'s' if len(statuses) > 1 else ''}"
+        f" of diagnostics says anything to {mission}"
+    )
 
 
 def _print_notes(bag: Bag) -> None:
@@ -165,12 +132,6 @@ def _print_notes(bag: Bag) -> None:
         print_lines([f"{bag.cut}; all before that is read"], "yellow")
     problems = bag.problems.items()
     print_lines((f"not read, {count} times: {problem}" for problem, count in problems), "yellow")
-
-
-def _first(lines: Sequence[str]) -> Iterator[str]:
-    yield from lines[:_SHOWN]
-    if len(lines) > _SHOWN:
-        yield f"... and {len(lines) - _SHOWN} more"
 
 
 def _decisions(bag: Bag, events: Iterable[Event]) -> list[str]:

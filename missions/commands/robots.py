@@ -63,8 +63,10 @@ def bridge(
     if tree:
         build = tree_builder(tree)
     if build is None and not answer:
-        advice = "give --tree module:NAME, or --answer to leave it to others"
-        raise MissionError(f"what decides for {model.name}? {advice}")
+        raise MissionError(
+            f"what decides for {model.name}? "
+            "give --tree module:NAME, or --answer to leave it to others"
+        )
     percepts = Percepts()
     logging.getLogger("missions.wires.node").setLevel(logging.WARNING)  # what is refused
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)

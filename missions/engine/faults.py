@@ -8,6 +8,7 @@ on it again.
 
 from collections.abc import Mapping, Sequence
 from math import inf, isfinite
+from operator import attrgetter
 from threading import Lock
 from typing import Final, NamedTuple
 
@@ -84,18 +85,17 @@ class FaultInjector:
     """Replaces what a robot receives by what the faults say, from the time of each fault on.
 
     Attributes:
-        planned: all faults that were added, in order of time.
+        waiting: the faults to come, in order of time.
         injected: the faults that have happened, each at the time at which the robot heard of it.
         values: the injected values by attribute.
     """
 
     def __init__(self, model: Model, duration_s: float) -> None:
-        self.planned: list[Fault] = []
+        self.waiting: list[Fault] = []
         self.injected: list[Fault] = []
         self.values: dict[str, float] = {}
         self._model = model
         self._duration_s = duration_s
-        self._waiting: list[Fault] = []
         self._lock = Lock()  # a page adds faults from its own thread
 
     def add(self, *faults: Fault) -> None:
@@ -116,15 +116,14 @@ class FaultInjector:
                 )
             checked.append(fault._replace(name=elements[fault.name].name))
         with self._lock:
-            self.planned = sorted([*self.planned, *checked], key=_time_of)
-            self._waiting = sorted([*self._waiting, *checked], key=_time_of)
+            self.waiting = sorted([*self.waiting, *checked], key=attrgetter("time"))
 
     def alter(self, messages: Sequence[Message], now: float) -> Sequence[Message]:
         """Return what the robot receives instead of the messages published by a time [s]."""
         news: list[Message] = []
         with self._lock:
-            while self._waiting and self._waiting[0].time <= now:
-                fault = self._waiting.pop(0)
+            while self.waiting and self.waiting[0].time <= now:
+                fault = self.waiting.pop(0)
                 self.injected.append(fault._replace(time=now))
                 news += self._messages_of(fault, now)
         if self.values:
@@ -141,10 +140,6 @@ class FaultInjector:
             return []
         self.values[fault.name] = fault.value
         return [measured(now, **{fault.name: fault.value})]
-
-
-def _time_of(fault: Fault) -> float:
-    return fault.time
 
 
 def _with_values(message: Message, values: Mapping[str, float]) -> Message:

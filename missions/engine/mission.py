@@ -20,7 +20,7 @@ from missions.engine.percepts import MISSION_STATUS as MISSION_STATUS
 from missions.engine.percepts import Message as Message
 from missions.engine.percepts import Percepts as Percepts
 from missions.engine.settings import MissionError as MissionError
-from missions.engine.settings import RunSettings, declared, full_names, near, read_values
+from missions.engine.settings import RunSettings, declared, near, read_values
 from missions.engine.settings import Setting as Setting
 from rosa_bt.exceptions import line_in_words
 from rosa_pddl.domain import RosaPddlError
@@ -143,12 +143,8 @@ class WorldKind(ABC):
     managers: ClassVar[Mapping[str, str]] = {}
 
     @abstractmethod
-    def open(self, values: Mapping[str, str], rng: "Generator") -> World:
-        """Open a world with these settings; all its random numbers come from the generator.
-
-        Raises:
-            MissionError: an unknown setting or a value that is not allowed.
-        """
+    def open(self, values: Mapping[str, Any], rng: "Generator") -> World:
+        """Open a world with these settings; all its random numbers come from the generator."""
 
     @abstractmethod
     def verdict(
@@ -172,7 +168,6 @@ _FIELDS: Final[Mapping[str, tuple[Any, str]]] = {
     "actions": (Mapping, "a mapping of PDDL actions to behaviours"),
     "domain": ((Path, type(None)), "a pathlib.Path"),
     "problem": ((Path, type(None), Callable), "a pathlib.Path"),
-    "engines": (tuple, "a tuple of names"),
 }
 _PARAMETERS: Final = {
     "model": "",
@@ -200,8 +195,7 @@ class Mission:
             parameter `step` also receives the `rosa_pddl.Step` that it does.
         facts: returns what holds now, as in the PDDL problem: facts such as {"(lit room)": True},
             and numbers for costs such as {"(length a b)": 3.5}.
-        engines: names of planning engines, see `rosa_pddl.Planner`: the first one plans, the others
-            if it fails; empty for the default.
+        engine: name of the planning engine, see `rosa_pddl.Planner`; None for the default.
         fixed: settings of the world that belong to this mission.
         why_not: returns why the goal cannot be reached, by what is known and was sensed; empty if
             it cannot tell. With a reason, the mission ends as soon as its world `is_still`.
@@ -221,7 +215,7 @@ class Mission:
     problem: Path | Callable[[], str] | None = None
     actions: Mapping[str, Callable[..., Behaviour]] = field(default_factory=dict)
     facts: Callable[[KnowledgeBase, Percepts], Mapping[str, bool | float]] = lambda kb, percepts: {}
-    engines: tuple[str, ...] = ()
+    engine: str | None = None
     fixed: Mapping[str, str] = field(default_factory=dict)
     why_not: Callable[[KnowledgeBase, Percepts], str] = lambda kb, percepts: ""
     selects: bool = False
@@ -240,8 +234,6 @@ class Mission:
                 takes = f"is called with ({parameters}), but takes {signature(function)}"
                 title = f"{name} of mission {self.name} {takes}"
                 raise MissionError(f"{title}: {error}; give it these parameters") from error
-            except ValueError:  # not written in Python
-                continue
         if self.tree is None and self.problem is None:
             hint = "give it a tree, or a PDDL domain and problem"
             raise MissionError(f"mission {self.name} has no task: {hint}")
@@ -283,14 +275,9 @@ def built(title: str, kind: type[T], build: Callable[..., object], *arguments: o
             returned.)
     """
     with blamed(lambda: f"cannot build {title}"):
-        count = 0
-        for parameter in signature(build).parameters.values() if arguments else ():
-            is_place = parameter.kind in (
-                Parameter.POSITIONAL_ONLY,
-                Parameter.POSITIONAL_OR_KEYWORD,
-            )
-            count += is_place and parameter.default is Parameter.empty
-        result = build(*arguments[:count])
+        parameters = signature(build).parameters.values() if arguments else ()
+        required = [each for each in parameters if each.default is Parameter.empty]
+        result = build(*arguments[: len(required)])
     if isinstance(result, BehaviourTree):
         result = result.root
     if not isinstance(result, kind):
@@ -307,8 +294,8 @@ def settings_of(mission: Mission) -> tuple[Setting, ...]:
 
 def split_settings(
     mission: Mission, values: Mapping[str, str], options: Sequence[Setting] = ()
-) -> tuple[RunSettings, dict[str, str], dict[str, Any]]:
-    """Split settings into those of the run, of the world (which checks them), and of a manager.
+) -> tuple[RunSettings, dict[str, Any], dict[str, Any]]:
+    """Read settings, and split them into those of the run, of the world, and of a manager.
 
     The unit at the end of a name may be left out, as in start_y for start_y_m.
 
@@ -316,14 +303,12 @@ def split_settings(
         MissionError: an unknown name or a value that is not allowed.
     """
     settings = (*options, *settings_of(mission))
-    texts = full_names(settings, mission.fixed, mission.name)
-    texts |= full_names(settings, values, mission.name)
-    option_values = {option.name: option.default for option in options}
-    option_texts = {name: texts.pop(name) for name in option_values if name in texts}
-    option_values |= read_values(options, option_texts)
-    run_names = [setting.name for setting in declared(RunSettings)]
-    run_texts = {name: texts.pop(name) for name in run_names if name in texts}
-    return RunSettings.read(run_texts), texts, option_values
+    read = read_values(settings, mission.fixed, mission.name)
+    read |= read_values(settings, values, mission.name)
+    option_values = {option.name: read.pop(option.name, option.default) for option in options}
+    names = [setting.name for setting in declared(RunSettings) if setting.name in read]
+    run_settings = RunSettings(**{name: read.pop(name) for name in names})
+    return run_settings, read, option_values
 
 
 # ---------------------------------------------------------------- by name, imported when asked for

@@ -21,22 +21,16 @@ MISSION_STATUS: Final = "mission status"
 
 def check_message(message: Any, source: str) -> None:  # noqa: ANN401  # anything, until it is checked
     """Check the form of a message; raise MissionError, which names the source, if it is wrong."""
-    fields: Any = message if isinstance(message, Mapping) else {}
-    time = fields.get("time")
-    if not isinstance(time, Real) or isinstance(time, bool) or not 0 <= float(time) < inf:
+    time = message.get("time") if isinstance(message, Mapping) else None
+    if not isinstance(time, Real) or not 0 <= float(time) < inf:
         expected = 'a message is an object with a number "time" [s] from 0 and a list "status"'
         raise MissionError(f"{source}: {expected}, not {message!r:.100}")
-    for status in fields.get("status", [None]):
-        if not _is_status(status):
+    for status in message.get("status", [None]):
+        values = status.get("values") if isinstance(status, Mapping) else None
+        is_fit = isinstance(values, Mapping) and all(isinstance(name, str) for name in values)
+        if not is_fit or not isinstance(status.get("message"), str):
             expected = 'each "status" is an object with a text "message" and an object "values"'
             raise MissionError(f"{source}: {expected}, not {status!r:.100}")
-
-
-def _is_status(status: Any) -> bool:  # noqa: ANN401  # anything, until it is checked
-    values = status.get("values") if isinstance(status, Mapping) else None
-    if not isinstance(values, Mapping) or not isinstance(status.get("message"), str):
-        return False
-    return all(isinstance(name, str) for name in values)
 
 
 def measured(time: float, **values: float) -> Message:

@@ -24,9 +24,9 @@ from rosa_pddl import (
     initial_state,
     load_domain,
 )
-from rosa_pddl.belief import assumptions, without_hopeless
+from rosa_pddl.belief import ExpectedEffects
 from rosa_pddl.domain import without_feasibility
-from rosa_pddl.reader import conditions
+from rosa_pddl.reader import atom_of, conditions
 from rosa_pddl.replanning import diagnosis
 
 FAILED: Final = "failed"
@@ -40,7 +40,7 @@ class Question:
         kb: says which actions are feasible; the state does not.
         oversights: what may be mistakes in the domain or the model, as sentences.
         numbers: numeric facts for costs and limits, as far as the mission knows them.
-        engines: names of planning engines; empty: those that the domain needs.
+        engine: name of the planning engine; None for the default.
         why_not: returns why there is no plan, as far as the mission can tell; empty if it cannot.
     """
 
@@ -50,7 +50,7 @@ class Question:
     goals: tuple[Goal, ...]
     oversights: tuple[str, ...] = ()
     numbers: Mapping[str, float] = field(default_factory=dict)
-    engines: tuple[str, ...] = ()
+    engine: str | None = None
     why_not: Callable[[], str] = str
 
     @property
@@ -64,7 +64,7 @@ class Question:
 
     def problem_without(self, unfeasible: Iterable[str]) -> Problem:
         """Return the problem in which exactly these ROSA actions are unfeasible."""
-        domain = without_hopeless(self.domain, self.kb)
+        domain = ExpectedEffects(self.domain, self.kb).domain
         left_out = set(unfeasible)
         feasible = {atom for atom, action in domain.feasibility.items() if action not in left_out}
         goals = tuple(goal.expression for goal in self.goals)
@@ -130,7 +130,7 @@ def ask(
         _assume(kb, text)
     percepts = Percepts()  # nothing is sensed yet, so a fact that is false may only be unknown
     facts = {} if mission is None else mission.facts(kb, percepts)
-    true = {domain.atom(text) for text, value in facts.items() if value is True}
+    true = {atom_of(domain, text) for text, value in facts.items() if value is True}
     # a goal may be several conditions side by side
     texts = [f"(and {text})" for text in goals] if goals else domain.goals
     return Question(
@@ -140,7 +140,7 @@ def ask(
         tuple(condition for text in texts for condition in conditions(domain, text)),
         oversights,
         {text: value for text, value in facts.items() if not isinstance(value, bool)},
-        mission.engines if mission else (),
+        mission.engine if mission else None,
         partial(mission.why_not, kb, percepts) if mission and not goals else str,
     )
 
@@ -178,11 +178,11 @@ def _as_stated(domain: Domain) -> KnowledgeBase:
 
 
 def answer(question: Question, timeout_s: float) -> Answer:
-    """Plan with the engines of the mission, or else as `Planner()`; find out why there is no plan.
+    """Plan with the engine of the mission, or else as `Planner()`; find out why there is no plan.
 
     Each planning may take `timeout_s` of wall clock time [s].
     """
-    with closing(_planner(question, timeout_s)) as planner:
+    with closing(Planner(question.engine, timeout_s)) as planner:
         result = _plan(question, planner)
         if result.outcome.is_solved or result.outcome.is_trouble:
             return Answer(question, result)
@@ -201,7 +201,7 @@ def certified(question: Question, timeout_s: float, failures: int | None) -> Cer
 
     It also plans for each component that may fail: what cures one cause need not cure another.
     """
-    with closing(_planner(question, timeout_s)) as planner:
+    with closing(Planner(question.engine, timeout_s)) as planner:
         table = certificate(question.domain, question.problem_without, planner, failures)
         causes = dict[str, PlanningResult]()
         for component in question.kb.model.components:
@@ -217,10 +217,6 @@ def _plan(question: Question, planner: Planner) -> PlanningResult:
     """Plan without promises that cannot be kept, with what the plan assumes."""
     result = planner.plan(question.problem)
     state = question.problem.state
-    sentences = assumptions(question.domain, question.kb, result.steps, state)
+    effects = ExpectedEffects(question.domain, question.kb)
+    sentences = effects.assumptions(result.steps, state)
     return replace(result, assumptions=sentences)
-
-
-def _planner(question: Question, timeout_s: float) -> Planner:
-    engine, *fallback = question.engines or (None,)
-    return Planner(engine, timeout_s, fallback=[name for name in fallback if name])

@@ -144,19 +144,21 @@ class RunSettings(Constants):
     )
 
 
-def full_names(
-    settings: Iterable[Setting], values: Mapping[str, Any], mission: str = ""
+def read_values(
+    settings: Iterable[Setting], values: Mapping[str, object], mission: str = ""
 ) -> dict[str, Any]:
-    """Return values by full names of settings, in the settings' order; units may be missing.
+    """Return the values that texts mean, by full names; units may be missing in the given ones.
 
     Raises:
-        MissionError: an unknown name, or a setting that is given twice, with and without its unit.
+        MissionError: an unknown name, a setting that is given twice, with and without its unit, or
+            a value that is not allowed.
     """
-    names = [part.name for part in settings]
-    full = {part.short_name: part.name for part in settings} | {name: name for name in names}
-    named: dict[str, Any] = {}
+    by_name = {part.name: part for part in settings}
+    names = [*by_name]
+    by_name |= {part.short_name: part for part in by_name.values()} | by_name
+    read: dict[str, Any] = {}
     for name, value in values.items():
-        if name not in full:
+        if name not in by_name:
             close = near(name, names)
             existing = f"there are {', '.join(names)}"
             if mission and len(names) >= 20:
@@ -164,22 +166,12 @@ def full_names(
             hint = f"did you mean {' or '.join(close)}?" if close else existing
             owner = f" of mission {mission}" if mission else ""
             raise MissionError(f"unknown setting {name!r}{owner}; {hint}")
-        if full[name] in named:
-            twice = " and ".join(text for text in full if full[text] == full[name])
+        part = by_name[name]
+        if part.name in read:
+            twice = f"{part.short_name} and {part.name}"
             raise MissionError(f"{twice} are the same setting; give it once")
-        named[full[name]] = value
-    return named
-
-
-def read_values(settings: Iterable[Setting], values: Mapping[str, object]) -> dict[str, Any]:
-    """Return the values that texts mean, by full names.
-
-    Raises:
-        MissionError: as `full_names` and `Setting.read` do.
-    """
-    by_name = {part.name: part for part in settings}
-    named = full_names(by_name.values(), values)
-    return {name: by_name[name].read(text) for name, text in named.items()}
+        read[part.name] = part.read(value)
+    return read
 
 
 def near(name: str, names: Iterable[str]) -> list[str]:

@@ -61,8 +61,6 @@ class TaskLayer:
 
     def plans(self) -> tuple[PlanRecord, ...]:
         """Return the last plans of all behaviours, in the order in which they were asked for."""
-        if len(self._planning) == 1:
-            return tuple(self._planning[0].plans)
         plans = [plan for behaviour in self._planning for plan in behaviour.plans]
         return tuple(sorted(plans, key=lambda plan: plan.at_s))
 
@@ -103,8 +101,7 @@ def build_task(
         return TaskLayer(built(f"the tree of mission {mission.name}", Behaviour, build))  # type: ignore[type-abstract]  # only for isinstance
     settings = settings or RunSettings()
     domain = mission_domain(mission)
-    engine, *fallback = mission.engines or (None,)
-    planner = Planner(engine, fallback=[name for name in fallback if name])
+    planner = Planner(mission.engine)
     missing = planner.missing()
     if missing is not None:
         raise MissionError(missing)

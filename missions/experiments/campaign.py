@@ -182,8 +182,10 @@ def from_data(data: Mapping[str, Any], source: str) -> Campaign:
         raise MissionError(f"{source}: name is {campaign.name!r}; it names a folder, without /")
     names = Counter(run.name for run in campaign.planned())
     if not names:
-        advice = 'give missions such as ["suave"], a value in each list, and at least 1 run'
-        raise MissionError(f"{source} says nothing to run; {advice}")
+        raise MissionError(
+            f"{source} says nothing to run; "
+            'give missions such as ["suave"], a value in each list, and at least 1 run'
+        )
     ((name, count),) = names.most_common(1)
     if count > 1:
         raise MissionError(f"{source} lists {name} {count} times; once is enough")

@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import floor, sqrt
+from math import floor, inf, sqrt
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from missions.engine.mission import NO_SUCCESS
+from missions.engine.mission import NO_SUCCESS, needs
 from missions.experiments.results import CRASHED, Results
 
 Array = NDArray[np.float64]
@@ -138,31 +138,39 @@ def comparisons(results: Results) -> list[Comparison]:
 
 
 class Interval(NamedTuple):
-    """An estimate, the ends of its 95 % confidence interval, and p of the test that it is 0."""
+    """A mean, the ends of its 95 % confidence interval, and p of the test that it is 0.
 
-    estimate: float
+    A single value has no interval: its ends are infinite.
+    """
+
+    mean: float
     low: float
     high: float
     p: float
+    observations: int
 
     def __format__(self, spec: str) -> str:
-        return f"{self.estimate:{spec}} [{self.low:{spec}}, {self.high:{spec}}]"
+        return f"{self.mean:{spec}} [{self.low:{spec}}, {self.high:{spec}}]"
 
 
 def mean_of(values: Values) -> Interval:
-    """Return the mean of at least two values with Student's interval.
+    """Return the mean of values with Student's interval.
 
     Of differences, it is the paired test.
     """
-    from scipy.stats import t
+    with needs("plot", "an interval"):
+        from scipy.stats import t
 
     mean = float(np.mean(values))
+    freedom = len(values) - 1
+    if not freedom:
+        return Interval(mean, -inf, inf, 1.0, 1)
     error = float(np.std(values, ddof=1)) / sqrt(len(values))
     if error == 0:
-        return Interval(mean, mean, mean, float(mean == 0))
-    freedom = len(values) - 1
+        return Interval(mean, mean, mean, float(mean == 0), len(values))
     low, high = t.interval(0.95, freedom, mean, error)
-    return Interval(mean, float(low), float(high), float(2 * t.sf(abs(mean / error), freedom)))
+    p = float(2 * t.sf(abs(mean / error), freedom))
+    return Interval(mean, float(low), float(high), p, len(values))
 
 
 def holm(ps: Sequence[float]) -> list[float]:

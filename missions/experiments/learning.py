@@ -4,21 +4,18 @@ Intervals are Student's, of the means of whole runs, because the measurements wi
 independent.
 """
 
-import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from statistics import fmean, median
-from typing import Final, NamedTuple, Self
+from typing import Final, NamedTuple
 
 from kb import Event, Model
 from kb.elements import Attribute, AttributeKind
 from kb.forecast import Series, slope_of
-from missions.engine.mission import MissionError, needs
-from missions.engine.runner import RosaRun
-from missions.experiments.comparison import mean_of
-from missions.experiments.results import FILE, Results
+from missions.engine.mission import MissionError
+from missions.experiments.comparison import Interval, mean_of
 from missions.wires.mcap import read_bag
 
 _ROUNDING: Final = 1e-6  # least relative half width of an interval, as times and values are rounded
@@ -28,38 +25,6 @@ _BENT: Final = 0.05  # largest median distance of a series from a line, relative
 
 Runs = Mapping[str, Sequence[Event]]
 """The events of runs, by their names."""
-
-
-class Spread(NamedTuple):
-    """A mean, its interval, and the number of observations.
-
-    The bounds of a single one are infinite.
-    """
-
-    value: float
-    low: float
-    high: float
-    observations: int
-
-    @classmethod
-    def of(cls, values: Sequence[float]) -> Self:
-        """Return the mean of values, with its interval."""
-        mean = fmean(values)
-        half = math.inf
-        if len(values) > 1:
-            with needs("plot", "the intervals of what is learned"):
-                half = max(mean_of(values).high - mean, _ROUNDING * abs(mean))
-        return cls(mean, mean - half, mean + half, len(values))
-
-    def holds(self, value: float) -> bool:
-        """Tell whether the value is in the interval."""
-        return self.low <= value <= self.high
-
-    def __str__(self) -> str:
-        if self.observations == 1:
-            return f"{self.value:.4g} (1 observation: no interval)"
-        bounds = f"{self.low:.4g} to {self.high:.4g}"
-        return f"{self.value:.4g} ({bounds}, {self.observations} observations)"
 
 
 class Learned(NamedTuple):
@@ -74,15 +39,25 @@ class Learned(NamedTuple):
 
     kind: str
     about: str
-    found: Spread
+    found: Interval
     stated: float | None = None
 
     def __str__(self) -> str:
-        text = f"{self.kind}: {self.about}: {self.found}"
+        mean, low, high, _, count = self.found
+        details = f"{low:.4g} to {high:.4g}, {count} observations"
+        if count == 1:
+            details = "1 observation: no interval"
+        text = f"{self.kind}: {self.about}: {mean:.4g} ({details})"
         if self.stated is None:
             return text
-        verdict = "as stated" if self.found.holds(self.stated) else "stated is"
+        verdict = "as stated" if _holds(self.found, self.stated) else "stated is"
         return f"{text}; {verdict} {self.stated:.4g}"
+
+
+def _holds(found: Interval, value: float) -> bool:
+    """Return whether a value is in an interval, but for rounding."""
+    rounding = _ROUNDING * abs(found.mean)
+    return found.low - rounding <= value <= found.high + rounding
 
 
 def learn(runs: Runs, model: Model) -> list[Learned]:
@@ -95,8 +70,10 @@ def learn(runs: Runs, model: Model) -> list[Learned]:
         for event in events:
             if event.verb == "request_action" and event.subject not in model.actions:
                 names = ", ".join(model.actions)
-                what = f"in {name} {event.subject} is done, which is no action of {model.name}"
-                raise MissionError(f"{what}: {names}")
+                raise MissionError(
+                    f"in {name} {event.subject} is done, which is no action of {model.name}"
+                    f": {names}"
+                )
     learned: list[Learned] = []
     for attribute in model.attributes.values():
         learned += _rates(attribute, [_slopes(events, attribute) for events in runs.values()])
@@ -154,18 +131,18 @@ def _rates(attribute: Attribute, slopes: Sequence[dict[str, float]]) -> Iterator
     for run in slopes:
         for action, slope in run.items():
             by_action[action].append(slope)
-    spreads = {action: Spread.of(values) for action, values in by_action.items()}
-    if len(spreads) > 1:
-        always = Spread.of([fmean(run.values()) for run in slopes if run])
-        if all(spread.holds(always.value) for spread in spreads.values()):
-            spreads = {"": always}
+    rates = {action: mean_of(values) for action, values in by_action.items()}
+    if len(rates) > 1:
+        always = mean_of([fmean(run.values()) for run in slopes if run])
+        if all(_holds(rate, always.mean) for rate in rates.values()):
+            rates = {"": always}
     stated = {rate.while_: rate.per_s for rate in attribute.rates}
-    for action, spread in spreads.items():
-        is_sure = 0.0 < spread.high - spread.low <= 2 * _SURE * abs(spread.value)
+    for action, rate in rates.items():
+        is_sure = rate.mean != 0 and rate.high - rate.low <= 2 * _SURE * abs(rate.mean)
         if action in stated or is_sure:
             when = f" while {action}" if action else ", always"
             about = f"{attribute.name}{when} [{attribute.unit or '1'}/s]"
-            yield Learned("rate", about, spread, stated.get(action))
+            yield Learned("rate", about, rate, stated.get(action))
 
 
 def _durations(runs: Runs) -> Iterator[Learned]:
@@ -181,32 +158,18 @@ def _durations(runs: Runs) -> Iterator[Learned]:
                 if event.arguments[1] == "completed":
                     took[event.subject].append(event.time - start)
     for action, seconds in took.items():
-        yield Learned("duration", f"{action} [s]", Spread.of(seconds))
+        yield Learned("duration", f"{action} [s]", mean_of(seconds))
 
 
 def read_runs(paths: Iterable[Path]) -> Runs:
-    """Read recordings, and repeat the runs of campaigns.
+    """Read recordings.
 
     Raises:
         MissionError: nothing can be learned from one of them; the message says why.
     """
     runs: dict[str, Sequence[Event]] = {}
     for path in paths:
-        is_campaign = (path / FILE).exists()
-        read = _campaign(path) if is_campaign else {path.name: read_bag(path).events}
-        if not any(read.values()):
+        runs[path.name] = read_bag(path).events
+        if not runs[path.name]:
             raise MissionError(f"{path} holds no run in which a knowledge base knew what was done")
-        runs |= read
-    return runs
-
-
-def _campaign(path: Path) -> dict[str, Sequence[Event]]:
-    results = Results(path)
-    left = results.left(retry=True)
-    runs: dict[str, Sequence[Event]] = {}
-    for run in results.campaign.planned():
-        opened = run.open() if run not in left else None
-        if isinstance(opened, RosaRun):
-            opened.run()
-            runs[run.name] = list(opened.kb.log)
     return runs

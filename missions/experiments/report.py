@@ -98,15 +98,19 @@ class Document:
 
         body = MarkdownIt("commonmark", {"html": False}).enable("table").render(self.as_markdown())
         for name, picture in self.pictures.items():
-            data = f"data:image/svg+xml;base64,{base64.b64encode(picture).decode()}"
-            body = body.replace(f'src="{name}"', f'src="{data}"')
-        head = (
+            body = body.replace(
+                f'src="{name}"',
+                f'src="data:image/svg+xml;base64,{base64.b64encode(picture).decode()}"',
+            )
+        return (
+            "<!DOCTYPE html>\n"
+            '<html lang="en"><head>'
             '<meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width, initial-scale=1">'
             f"<title>{html.escape(self._title)}</title><style>{CSS}</style>"
+            f"</head>\n<body>\n{body}</body></html>"
+            "\n"
         )
-        page = f'<html lang="en"><head>{head}</head>\n<body>\n{body}</body></html>'
-        return f"<!DOCTYPE html>\n{page}\n"
 
 
 def write_report(results: Results, folder: Path, *, figures: Sequence[str] = ()) -> list[Path]:
@@ -127,8 +131,10 @@ def write_report(results: Results, folder: Path, *, figures: Sequence[str] = ())
         if figure not in existing:
             raise MissionError(f"no run has a figure {figure!r}; there are {', '.join(existing)}")
     document = Document(f"Campaign {name}")
-    done = f"{len(results.outcomes)} of {results.campaign.size} runs are done"
-    document.parts.append(f"{done}, {len(crashed)} of them crashed.")
+    document.parts.append(
+        f"{len(results.outcomes)} of {results.campaign.size} runs are done"
+        f", {len(crashed)} of them crashed."
+    )
     for comparison in parts:
         document.parts.append(f"## {comparison.title}")
         _add_comparison(document, comparison, figures)
@@ -191,8 +197,9 @@ def _add_headlines(
     document.table(head, rows)
     for group in comparison.groups:
         for name, value in group.inputs.items():
-            source = "is an input taken from the paper's own figures"
-            document.parts.append(f"{group.label}: {name} = {value:g} {source}.")
+            document.parts.append(
+                f"{group.label}: {name} = {value:g} is an input taken from the paper's own figures."
+            )
 
 
 def _add_reactions(document: Document, comparison: Comparison) -> None:

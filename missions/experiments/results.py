@@ -89,8 +89,10 @@ class Results:
     def __init__(self, folder: Path) -> None:
         path = folder / FILE
         if not path.exists():
-            advice = f"`rosa campaign FILE.toml --out {folder}` makes one"
-            raise MissionError(f"{folder} holds no campaign: there is no {FILE} in it; {advice}")
+            raise MissionError(
+                f"{folder} holds no campaign: there is no {FILE} in it; "
+                f"`rosa campaign FILE.toml --out {folder}` makes one"
+            )
         lines: list[dict[str, Any]] = []
         try:
             about = json.loads(path.read_text(encoding="utf-8"))
@@ -187,9 +189,11 @@ class Store:
         name = outcome.record["run"]
         code = provenance()["code"]
         if outcome.code != code:
-            problem = f"{name} was run by other code ({outcome.code}) than the campaign ({code})"
-            advice = "install the same on every worker, then go on with --resume"
-            raise MissionError(f"{problem}; {advice}")
+            raise MissionError(
+                f"{name} was run by other code ({outcome.code}) than the campaign ({code})"
+                "; "
+                "install the same on every worker, then go on with --resume"
+            )
         line = json.dumps(asdict(outcome), allow_nan=False, ensure_ascii=False) + "\n"
         with (
             files_tried(f"write to {self._folder}", "; make room, then go on with --resume"),
@@ -202,8 +206,9 @@ class Store:
 
 def _begin(folder: Path, campaign: Campaign) -> None:
     if (folder / FILE).exists():
-        advice = "go on with it by --resume, or give another --out"
-        raise MissionError(f"{folder} holds a campaign already; {advice}")
+        raise MissionError(
+            f"{folder} holds a campaign already; go on with it by --resume, or give another --out"
+        )
     about = {"campaign": asdict(campaign), "provenance": provenance()}
     with files_tried(f"make {folder}"):
         folder.mkdir(parents=True, exist_ok=True)

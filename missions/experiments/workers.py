@@ -95,14 +95,15 @@ def cluster(address: str) -> Workers:
     try:
         client = Client(address, timeout=TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
-        advice = (
+        raise MissionError(
+            f"there is no scheduler at {address}: {error}; "
             f"start one with `dask scheduler`, workers with `dask worker {address} --nthreads 1`"
-        )
-        raise MissionError(f"there is no scheduler at {address}: {error}; {advice}") from error
+        ) from error
     count = len(client.scheduler_info(n_workers=-1)["workers"])
     if not count:
-        problem = f"the scheduler at {address} has no workers"
-        raise MissionError(f"{problem}; start some with `dask worker`")
+        raise MissionError(
+            f"the scheduler at {address} has no workers; start some with `dask worker`"
+        )
     return Workers(count, lambda: client.get_executor(pure=False), KilledWorker)
 
 
@@ -139,9 +140,11 @@ def _together(
                 except workers.killed:
                     suspects.append(run)
                 except Exception as error:
-                    problem = f"{run.name} cannot be done: {type(error).__name__}: {error}"
-                    advice = "mend what is wrong with the workers, then go on with --resume"
-                    raise MissionError(f"{problem}; {advice}") from error
+                    raise MissionError(
+                        f"{run.name} cannot be done: {type(error).__name__}: {error}"
+                        "; "
+                        "mend what is wrong with the workers, then go on with --resume"
+                    ) from error
     except workers.killed:  # when a run was handed out
         suspects += under_way.values()
     finally:

@@ -13,10 +13,9 @@ from py_trees.blackboard import Blackboard
 from py_trees.common import Status
 from py_trees.composites import Sequence as SequenceNode
 
-from missions.proof.environment import Change, Facts
 from missions.proof.memory import Memory
 from missions.proof.rig import Answer, Rig, Step
-from missions.proof.setup import Predicate, Setup
+from missions.proof.setup import Change, Facts, Predicate, Setup
 from rosa_bt.requests import requests_of
 
 
@@ -72,7 +71,6 @@ class Exploration:
         situations: by number; 0 is the initial one, and those that fewer rounds lead to come first.
         rounds: by number of the situation, all that may follow it; empty until it is explored.
         seen: by number, what properties look at.
-        occurring: what was ever selected or required, as kind and name.
         faults: of the manager, in words, each with the fewest rounds that lead there.
         holds: by predicate, the situations in which it holds.
         transitions: how many different ticks were run.
@@ -84,16 +82,14 @@ class Exploration:
         self.faults: dict[str, Sequence[Step]] = dict.fromkeys(rig.begin(), ())
         self.situations: list[Situation] = []
         self.seen: list[Seen] = []
-        self.occurring: set[tuple[str, str]] = set()
         self.rounds: list[list[Round]] = []
         self.holds: defaultdict[Predicate, set[int]] = defaultdict(set)
         self.transitions = 0
         self.seconds = 0.0
         self._predicates = [predicate for each in setup.wanted for predicate in each.predicates]
-        self._predicates += [setup.goal] if setup.goal else []
         requests = requests_of(rig.kb)
         kept = [requests.open, requests.halting, requests.progress]
-        self._memory = Memory([rig.root, Blackboard.storage, *kept])
+        self._memory = Memory([rig.root, Blackboard.storage, rig.senses, *kept])
         self._count = 0
         self._reached_by: list[tuple[int, Step]] = []
         self._numbers: dict[Situation, int] = {}
@@ -134,11 +130,16 @@ class Exploration:
         return range(len(self.situations))
 
     @property
+    def occurring(self) -> set[tuple[str, str]]:
+        """What was ever selected or required, as kind and name."""
+        occurring = set[tuple[str, str]]()
+        for facts in self._settled.values():
+            occurring |= {*facts.selected, *(("action", action) for action, _ in facts.requested)}
+        return occurring
+
+    @property
     def goals(self) -> set[int]:
         """The situations in which the goal is reached."""
-        goal = self.rig.setup.goal
-        if goal is not None:
-            return self.holds[goal]
         ended = (number for number in self.every if self.seen[number].has_succeeded)
         return {number for number in ended if not self.misses(number)}
 
@@ -147,8 +148,6 @@ class Exploration:
 
         Empty if it is.
         """
-        if self.rig.setup.goal is not None:
-            return ""
         deeds = self.situations[number].deeds
         for deed in deeds:
             if deed.startswith("the success of "):
@@ -233,7 +232,6 @@ class Exploration:
         while scripts:
             self.load(moment)
             late = rig.unfeasible
-            self.occurring |= {*moment.facts.selected, *(("action", name) for name in rig.required)}
             rig.tick(scripts.pop())
             scripts += rig.others
             step = Step(changes, rig.taken)
@@ -269,7 +267,6 @@ class Exploration:
         self.seen.append(
             Seen(rig.required, rig.unfeasible, feasible, rig.running, stage, has_succeeded)
         )
-        self.occurring |= {*situation.facts.selected, *(("action", name) for name in rig.required)}
         for predicate in self._predicates:
             if predicate(rig):
                 self.holds[predicate].add(number)

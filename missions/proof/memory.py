@@ -34,7 +34,7 @@ _FIXED: Final = (
 _IGNORED: Final = {
     *("iterator", "feedback_message", "logger", "id", "tick", "stop", "update", "initialise"),
     *("terminate", "save_progress", "restore_progress", "finish_time", "plans"),
-    *("_since", "_halting_since", "last_event", "reasons", "_planned"),
+    *("_since", "_halting_since", "last_event", "reasons", "_planned", "asked"),
 }
 """Attributes that decide nothing: functions, texts, records, and times by a clock that stands
 still."""
@@ -100,10 +100,9 @@ class Memory:
                 each.clear()
                 each.extend(content)
             else:
-                names = content[0].split()
-                for name in _attributes(each).keys() - names:
+                for name in _attributes(each).keys() - content.keys():
                     object.__delattr__(each, name)
-                for name, value in zip(names, content[1:], strict=True):
+                for name, value in content.items():
                     object.__setattr__(each, name, value)
 
 
@@ -153,8 +152,7 @@ def _content(each: Any) -> Any:  # noqa: ANN401  # any object of a program
             each.status = Status.INVALID  # nobody asks how it has ended
         if isinstance(each, Composite) and _is_forgetful(each):
             each.current_child = None
-    attributes = _attributes(each)
-    return [" ".join(attributes), *attributes.values()]
+    return _attributes(each)
 
 
 def _attributes(each: Any) -> dict[str, Any]:  # noqa: ANN401  # any object

@@ -110,17 +110,6 @@ def _unreleased(explored: Exploration) -> Wrong | None:
     return None
 
 
-def _together(explored: Exploration) -> Wrong | None:
-    actions = explored.rig.kb.actions
-    for group in explored.rig.setup.exclusive:
-        names = {actions[name].name for name in group}
-        for number, seen in enumerate(explored.seen):
-            both = sorted(names.intersection(seen.required))
-            if len(both) > 1:
-                return f"{' and '.join(both)} are required", explored.path(number)
-    return None
-
-
 def _unachieved(explored: Exploration) -> Wrong | None:
     return None if explored.goals.intersection(explored.caused()) else ("it is never reached", None)
 
@@ -226,13 +215,13 @@ def _unreached(explored: Exploration) -> Wrong | None:
 def _missing(explored: Exploration) -> Wrong | None:
     """Find the actions of the tree, the designs and the configurations that never occur."""
     rig = explored.rig
+    occurring = explored.occurring
     expected = [("action", node.action) for node in rig.doing]
-    if rig.setup.failures:  # without failures, what is there for them cannot occur
+    # without failures, what is there for them cannot occur; what leaves measure and choose neither
+    if rig.setup.failures and not rig.environment.told:
         expected += [("function design", name) for name in rig.kb.designs]
         expected += [("configuration", name) for name in rig.kb.configurations]
-    missing = [
-        f"{kind} {name}" for kind, name in expected if (kind, name) not in explored.occurring
-    ]
+    missing = [f"{kind} {name}" for kind, name in expected if (kind, name) not in occurring]
     return (f"never: {', '.join(dict.fromkeys(missing))}", None) if missing else None
 
 
@@ -243,7 +232,6 @@ def _mismanaged(explored: Exploration) -> Wrong | None:
 CHECKS: Final[dict[str, Callable[[Exploration], Wrong | None]]] = {
     "nothing is requested while unfeasible for longer than a tick": _unfeasible,
     "every request is released once, when what does it ends": _unreleased,
-    "actions that exclude each other are not required together": _together,
     "the goal is reached if all goes well": _unachieved,
     "the mission ends with its goal only": _ends_without,
     "wherever the goal can be reached as facts are, the mission is not stuck": _stuck,

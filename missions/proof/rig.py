@@ -25,13 +25,15 @@ from kb import ConfigurationManager, KnowledgeBase, UnknownName
 from kb.elements import AttributeKind
 from missions.engine.components import VERBS
 from missions.engine.mission import Condition
-from missions.proof.environment import (
+from missions.proof.setup import (
     Change,
     Environment,
     Facts,
+    Leaf,
+    Senses,
+    Setup,
     without_debouncing,
 )
-from missions.proof.setup import Leaf, Senses, Setup
 from missions.testing.scripted import LETTERS, replace_work
 from rosa_bt import ForAction, RosaAction, TreeRunner
 from rosa_bt.behaviours import KbBehaviour
@@ -72,6 +74,7 @@ class Rig(VisitorBase):
             about.
         deeds: what was brought about or is under way, as far as conditions and the goal ask for it.
         requesting: the leaves that request actions by themselves.
+        senses: the percepts; those that a leaf declares to bring about (`brings`) hold after it.
 
     Raises:
         UnknownName: a declaration names a leaf that the tree does not have.
@@ -87,7 +90,7 @@ class Rig(VisitorBase):
         self.others: list[tuple[Answer, ...]] = []
         self._script: tuple[Answer, ...] = ()
         Blackboard.storage.clear()  # the whole process shares it
-        senses = Senses()
+        self.senses = senses = Senses()
         self.root = setup.build(self.kb, senses)
         self.nodes = list(self.root.iterate())
         self.doing = acting(self.nodes)
@@ -151,11 +154,7 @@ class Rig(VisitorBase):
             return Leaf("FS")
         if not isinstance(leaf, RosaAction):
             return Leaf()
-        values = self.environment.values
-        met = {
-            name: min(values[name], key=self.environment.violated(name))
-            for name in self._restored(leaf.action)
-        }
+        met = {name: self.environment.best(name) for name in self._restored(leaf.action)}
         return Leaf(effects={"S": met} if met else {})
 
     def _restored(self, action: str) -> set[str]:
@@ -178,6 +177,8 @@ class Rig(VisitorBase):
             if letter == "S":
                 goal = self.setup.causes.goal.intersection(effects)
                 self.deeds |= {f"{effect} done" for effect in goal}
+        if letter == "S" and hasattr(leaf, "brings"):
+            self.senses.holding = leaf.brings()
         for attribute, value in says.effects.get(letter, {}).items():
             self.kb.measure(attribute, value)
         return LETTERS[letter]
@@ -227,13 +228,9 @@ class Rig(VisitorBase):
             self.kb.measure(name, value)
         environment = self.environment
         for name, values in environment.values.items():
-            best = min(values, key=environment.violated(name))
-            is_read = name in environment.read
-            if (
-                self.measured(name) is None
-                and not is_read
-                and not environment.signature(name, best)
-            ):
+            best = environment.best(name)
+            is_new = self.measured(name) is None and name not in environment.read
+            if is_new and not values[best]:
                 self.kb.measure(name, best)  # as good as no measurement
         return self.settle()
 

@@ -13,11 +13,10 @@ from py_trees.decorators import Decorator
 from kb import Event, KnowledgeBase, Model
 from missions.engine.mission import Mission, MissionError
 from missions.engine.task_layer import build_task
-from missions.proof.environment import Change
 from missions.proof.exploration import Exploration
 from missions.proof.properties import Finding, check, notes
 from missions.proof.rig import Rig, Step, acting
-from missions.proof.setup import Senses, Setup, causes_of
+from missions.proof.setup import Change, Senses, Setup, causes_of
 from rosa_bt import HasStatus, IsActionFeasible, RosaAction, do_until_unfeasible
 
 
@@ -42,14 +41,12 @@ class Proof:
     """The result of a verification.
 
     Attributes:
-        setup: what was verified.
         explored: the situations, which can be asked further questions.
         findings: for each property, whether it holds.
         consequences: of each single bad fact.
         notes: what is no mistake, but good to know.
     """
 
-    setup: Setup
     explored: Exploration
     findings: Sequence[Finding]
     consequences: Sequence[Consequence]
@@ -67,7 +64,7 @@ class Proof:
         """
         if trail is None:
             return []
-        rig = Rig(self.setup)
+        rig = Rig(self.explored.rig.setup)
         lines: list[str] = []
 
         def on_event(event: Event) -> None:
@@ -90,7 +87,6 @@ class Proof:
             rig.tick(step.answers)
             rig.settle()
         if recorder is not None:
-            recorder.put("result", 0, self._result())
             recorder.close()
             recorder.report(str(page))
         return lines
@@ -100,20 +96,6 @@ class Proof:
         goal = min(self.explored.goals.intersection(self.explored.caused()), default=0)
         trails = [finding.trail for finding in self.broken if finding.trail is not None]
         self.story(trails[0] if trails else self.explored.path(goal), page)
-
-    def _result(self) -> dict[str, Any]:
-        """Return what the page shows as the result of the run."""
-        outcome = "all holds" if self.explored.is_finished else "not finished"
-        rows = []
-        for each in self.consequences:
-            does = f"; does {', '.join(each.actions)}" if each.actions else ""
-            rows.append([each.fact, "", each.reaches + does])
-        return {
-            "success": not self.broken,
-            "outcome": f"{len(self.broken)} broken" if self.broken else outcome,
-            "reason": self.count,
-            "figures": rows,
-        }
 
     @property
     def count(self) -> str:
@@ -157,8 +139,7 @@ def verify(
     """Explore a tree with its knowledge base and the manager, and check what holds.
 
     Args:
-        build_tree: makes the tree, given the knowledge base, and percepts if it takes two
-            arguments.
+        build_tree: makes the tree, given the knowledge base.
         model: makes the model of the robot.
         suggest: look for what mends a broken tree, see `Finding.advice`.
         options: of `Setup`.
@@ -187,7 +168,7 @@ def prove(setup: Setup, *, suggest: bool = False) -> Proof:
             advice = {True: "", False: text, None: ""}
             findings = [replace(each, advice=advice[each.holds]) for each in findings]
             break
-    return Proof(setup, explored, findings, consequences(explored), notes(explored))
+    return Proof(explored, findings, consequences(explored), notes(explored))
 
 
 def consequences(explored: Exploration) -> list[Consequence]:

@@ -105,7 +105,7 @@ class _SeaKind(WorldKind):
 
         return declared(Settings)
 
-    def open(self, values: Mapping[str, str], rng: "Generator") -> Sea:
+    def open(self, values: Mapping[str, Any], rng: "Generator") -> Sea:
         from suave_env import Settings, SuaveEnv, SuaveEnvError
 
         try:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from missions.engine.components import CommandFailed
-    from missions.testing.decisions import Decisions, check_golden, replay
+    from missions.testing.decisions import Decisions, replay
     from missions.testing.scripted import FakeClock, LeafMock, ScriptedManaged, mock_leaf
 
 __all__ = [
@@ -18,7 +18,6 @@ __all__ = [
     "FakeClock",
     "LeafMock",
     "ScriptedManaged",
-    "check_golden",
     "mock_leaf",
     "replay",
 ]
@@ -28,10 +27,4 @@ def __getattr__(name: str) -> object:
     """Import a name when it is used first, because pytest imports this package at each start."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    own = (f"{__name__}.{home}" for home in ("decisions", "scripted"))
-    homes = map(import_module, (*own, "missions.engine.components"))
-    return next(getattr(home, name) for home in homes if hasattr(home, name))
-
-
-def __dir__() -> list[str]:
-    return __all__
+    return getattr(import_module(f"{__name__}.decisions"), name)

@@ -1,7 +1,8 @@
 """The pytest plugin `rosa`: fixtures for tests of missions, which import when used."""
 
-from collections.abc import Callable, Iterable, Mapping
-from functools import wraps
+import re
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,28 +12,12 @@ if TYPE_CHECKING:
     from missions.testing import Decisions, FakeClock, ScriptedManaged
     from rosa_bt import Trace
 
-_WRITTEN = pytest.StashKey[list[Path]]()
-
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add `--update-traces`."""
-    group = parser.getgroup("rosa", "adaptive missions (rosa)")
-    group.addoption(
-        "--update-traces",
-        action="store_true",
-        help="write the golden traces that differ or are missing",
+    parser.getgroup("rosa", "adaptive missions (rosa)").addoption(
+        "--update-traces", action="store_true", help="write the golden traces"
     )
-
-
-def pytest_terminal_summary(
-    terminalreporter: pytest.TerminalReporter, config: pytest.Config
-) -> None:
-    """Say which golden traces were written."""
-    written = config.stash.get(_WRITTEN, [])
-    if written:
-        terminalreporter.section("golden traces written")
-        for path in written:
-            terminalreporter.line(str(path))
 
 
 @pytest.fixture
@@ -59,12 +44,7 @@ def replay(request: pytest.FixtureRequest) -> "Callable[..., Decisions]":
     """
     from missions.testing.decisions import replay
 
-    @wraps(replay)
-    def beside(
-        source: str | Path | Iterable[Mapping[str, Any]],
-        *given: Any,  # noqa: ANN401  # the arguments of replay
-        **named: Any,  # noqa: ANN401  # the arguments of replay
-    ) -> "Decisions":
+    def beside(source: Any, *given: Any, **named: Any) -> "Decisions":  # noqa: ANN401  # as replay
         if isinstance(source, str | Path):
             source = request.path.parent / source
         return replay(source, *given, **named)
@@ -73,27 +53,18 @@ def replay(request: pytest.FixtureRequest) -> "Callable[..., Decisions]":
 
 
 @pytest.fixture
-def golden_trace(request: pytest.FixtureRequest) -> "Callable[..., None]":
+def golden_trace(request: pytest.FixtureRequest) -> "Callable[[Trace], None]":
     """Compare a trace with the one in the folder `golden` beside the test.
 
     `pytest --update-traces` writes that.
     """
-    from missions.testing.decisions import check_golden, golden_path
+    from missions.testing.decisions import check_golden
 
-    config = request.config
     test = request.node.nodeid
-    compared: set[Path] = set()
-
-    def check(trace: "Trace", name: str = "") -> None:
-        __tracebackhide__ = True
-        path = golden_path(request.path, test.partition("::")[2], name)
-        if path in compared:
-            raise ValueError(
-                f"{test} has compared with {path.name} already; golden_trace(trace, name=...)"
-            )
-        compared.add(path)
-        command = f'pytest --update-traces "{test}"'
-        if check_golden(trace, path, update=config.getoption("--update-traces"), command=command):
-            config.stash.setdefault(_WRITTEN, []).append(path)
-
-    return check
+    name = re.sub(r"[^\w\-]+", "_", test.partition("::")[2]).strip("_")
+    return partial(
+        check_golden,
+        path=request.path.parent / "golden" / f"{request.path.stem}.{name}.trace",
+        command=f'pytest --update-traces "{test}"',
+        update=request.config.getoption("--update-traces"),
+    )

@@ -9,8 +9,8 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from kb import UnknownName
+from missions.engine.components import CommandFailed as CommandFailed
 from missions.engine.components import (
-    VERBS,
     NamedComponents,
     Script,
     SimulatedComponents,
@@ -24,7 +24,7 @@ LETTERS: Final = {"R": Status.RUNNING, "S": Status.SUCCESS, "F": Status.FAILURE}
 class LeafMock:
     """A mocked leaf: returns a script, and counts ticks, starts and interruptions."""
 
-    def __init__(self, outcomes: tuple[Status, ...]) -> None:
+    def __init__(self, outcomes: Sequence[Status]) -> None:
         self._outcomes = outcomes
         self._is_running = False
         self.ticks = self.starts = self.interruptions = 0
@@ -47,7 +47,7 @@ class LeafMock:
         self._is_running = False
 
 
-def mock_leaf(root: Behaviour, name: str, outcomes: str | Sequence[Status]) -> LeafMock:
+def mock_leaf(root: Behaviour, name: str, outcomes: str) -> LeafMock:
     """Let a leaf of a tree return the outcomes of a script instead of working.
 
     Only its own work is replaced: a `RosaAction` still requests its action and releases it, so that
@@ -56,14 +56,15 @@ def mock_leaf(root: Behaviour, name: str, outcomes: str | Sequence[Status]) -> L
     Args:
         root: of the tree, or of the subtree in which to look.
         name: of the leaf; if several have that name, they share the script.
-        outcomes: one for each tick, as letters R, S and F or as statuses; the last one is repeated
-            for ever.
+        outcomes: one for each tick, as letters R, S and F; the last one is repeated for ever.
 
     Raises:
         kb.UnknownName: no leaf has that name; the message lists the nearest ones.
-        ValueError: there are no outcomes, or one is not RUNNING, SUCCESS or FAILURE.
+        ValueError: there are no outcomes, or another letter.
     """
-    mock = LeafMock(_read(outcomes))
+    if not outcomes or not LETTERS.keys() >= {*outcomes}:
+        raise ValueError(f"outcomes are letters R, S and F, at least one; not {outcomes!r}")
+    mock = LeafMock([LETTERS[letter] for letter in outcomes])
     leaves = [leaf for leaf in root.iterate() if not leaf.children]
     names = dict.fromkeys(leaf.name for leaf in leaves)
     if name not in names:
@@ -93,17 +94,6 @@ def replace_work(
         own |= {"save_progress": lambda: None, "restore_progress": lambda progress: None}
         own["halting"] = MethodType(RosaAction.halting, leaf)
     vars(leaf).update(own)
-
-
-def _read(outcomes: str | Sequence[Status]) -> tuple[Status, ...]:
-    script = [LETTERS.get(item) if isinstance(item, str) else item for item in outcomes]
-    statuses = tuple(
-        status for status in script if status is not None and status in LETTERS.values()
-    )
-    if not script or len(statuses) < len(script):
-        allowed = "R, S and F, or RUNNING, SUCCESS and FAILURE, at least one"
-        raise ValueError(f"outcomes are {allowed}; not {outcomes!r}")
-    return statuses
 
 
 class FakeClock:
@@ -145,19 +135,14 @@ class ScriptedManaged(SimulatedComponents):
     """A managed system without a robot; `script` makes commands fail, hang or lie.
 
     Args:
-        clock: gives the time; the test or the replay moves it.
-        takes: how long a command takes [s], or by verb; None: no time, or in a replay as long as
-            recorded.
+        clock: gives the time; the test or the replay moves it. A command takes no time, or in a
+            replay as long as recorded.
     """
 
-    def __init__(self, clock: FakeClock, takes: float | Mapping[str, float] | None = None) -> None:
+    def __init__(self, clock: FakeClock) -> None:
         self._names = NamedComponents()
-        by_verb = (
-            takes if takes is None or isinstance(takes, Mapping) else dict.fromkeys(VERBS, takes)
-        )
-        super().__init__(clock, self._names, by_verb)
+        super().__init__(clock, self._names)
         self.clock = clock
-        self._is_timed = takes is not None
         self._recorded: dict[tuple[str, str], list[Script]] = {}
 
     def follow(
@@ -166,11 +151,9 @@ class ScriptedManaged(SimulatedComponents):
         """Let unscripted commands end as recorded: (verb, component, seconds, is successful).
 
         A command after the last recorded one of its kind ends as that did. A command of another
-        kind takes the usual time of its verb [s], unless the system was made with times of its own.
+        kind takes the usual time of its verb [s].
         """
-        if not self._is_timed:
-            self.takes = checked_times(usual)
-            self._is_timed = True
+        self.takes = checked_times(usual)
         for verb, component, takes, is_well in commands:
             script = Script(takes, 0 if is_well else math.inf)
             self._recorded.setdefault((verb, component), []).append(script)

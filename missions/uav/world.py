@@ -487,7 +487,7 @@ class _SkyKind(WorldKind):
     def settings(self) -> tuple[Setting, ...]:
         return declared(Settings)
 
-    def open(self, values: Mapping[str, str], rng: Generator) -> UavWorld:
+    def open(self, values: Mapping[str, Any], rng: Generator) -> UavWorld:
         return UavWorld(Settings.read(values), rng)
 
     def verdict(

@@ -10,13 +10,13 @@ import math
 from functools import partial
 from typing import Any, Final
 
-from kb import DiagnosticRules, Event, EventKind, KnowledgeBase, KnowledgeBaseError
+from kb import DiagnosticRules, Event, EventKind, KnowledgeBase
 from kb.views import AttributeView
 from missions.engine.mission import MissionError, Percepts
 from missions.wires import ros
 from missions.wires.actions import connect
 from missions.wires.components import BridgeSettings, RosComponents
-from missions.wires.node import NONSENSE, Message, Node, Refusals
+from missions.wires.node import Message, Node
 from missions.wires.services import LOG, RosaServices
 
 __all__ = ["Bridge", "BridgeSettings", "SimulatedClock"]
@@ -75,7 +75,6 @@ class Bridge:
     Attributes:
         managed: the robot's nodes, as the managed system of a `ConfigurationManager`.
         heard: how many messages were used.
-        refused: how many were not used, by what was wrong.
 
     Raises:
         MissionError, kb.UnknownName: the settings name a place that is malformed, or an unknown
@@ -92,7 +91,6 @@ class Bridge:
     ) -> None:
         settings = settings or BridgeSettings()
         self.heard = 0
-        self.refused = Refusals()
         self.managed = RosComponents(kb, node, settings, self._observe)
         self._kb = kb
         self._node = node
@@ -105,8 +103,7 @@ class Bridge:
         self._rules = DiagnosticRules(settings.diagnostics)
         self._rules.check(kb)
         self._report_s = node.clock() + _REPORT_S
-        if settings.diagnostics_topic:
-            node.subscribe(settings.diagnostics_topic, ros.DIAGNOSTICS, self._receive)
+        node.subscribe("/diagnostics", ros.DIAGNOSTICS, self._receive)
         RosaServices(kb, node)
         connect(kb, node)
         self._unsubscribe = kb.subscribe(self._publish)
@@ -152,19 +149,16 @@ class Bridge:
 
     def _measure(self, view: AttributeView, path: list[str], message: Message) -> None:
         value: Any = message
-        try:
-            for part in path:
-                value = value[int(part)] if isinstance(value, list) else value[part]
-            stamp = _stamp(message)
-            if stamp < self._stamps[view.name] <= self._now:
-                raise ValueError("a message is older than the one before it")
-            if self._now - stamp > view.max_age:
-                raise ValueError("a message is older than max_age; are the clocks the same?")
-            self._kb.measure(view.name, value)
-            self._stamps[view.name] = stamp
-            self.heard += 1
-        except (*NONSENSE, KnowledgeBaseError) as error:
-            self.refused.add(f"{view.name}: {type(error).__name__}: {error}")
+        for part in path:
+            value = value[int(part)] if isinstance(value, list) else value[part]
+        stamp = _stamp(message)
+        if stamp < self._stamps[view.name] <= self._now:
+            raise ValueError("a message is older than the one before it")
+        if self._now - stamp > view.max_age:
+            raise ValueError("a message is older than max_age; are the clocks the same?")
+        self._kb.measure(view.name, value)
+        self._stamps[view.name] = stamp
+        self.heard += 1
 
     def _make_stale(self, view: AttributeView) -> None:
         if view.value is not None:
@@ -176,7 +170,7 @@ class Bridge:
         if self._percepts is not None:
             self._percepts.receive({"status": ros.plain_statuses(message)})
         for problem in problems:
-            self.refused.add(f"{problem.key}: {problem.reason}")  # one kind, whatever the value
+            self._node.refused.add(f"{problem.key}: {problem.reason}")  # whatever the value
 
     def _publish(self, event: Event) -> None:
         word = _WORDS.get(event.kind)
@@ -200,8 +194,10 @@ def _place(attribute: str, text: str) -> tuple[str, list[str], str]:
     place, _, kind = text.strip().partition(" ")
     topic, *path = place.split(".")
     if not topic.startswith("/") or not all(path) or not path:
-        example = "write /topic.field, e.g. /battery_state.percentage"
-        raise MissionError(f"{attribute} is measured by {text!r}; {example}")
+        raise MissionError(
+            f"{attribute} is measured by {text!r}; "
+            "write /topic.field, e.g. /battery_state.percentage"
+        )
     return topic, path, kind.strip()
 
 

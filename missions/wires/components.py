@@ -48,7 +48,6 @@ class BridgeSettings:
         components: for each name its node, e.g. "/camera"; a lifecycle component that is not named
             here is the node with its own name.
         diagnostics: what the statuses of a name mean, by pattern; see `kb.DiagnosticRules`.
-        diagnostics_topic: empty for none.
         timeout_s: how long a call of a node may take [s].
         timeouts: the same for single components, by name [s].
         poll_s: the period at which each node is asked for its state [s].
@@ -61,7 +60,6 @@ class BridgeSettings:
     attributes: Mapping[str, str] = field(default_factory=dict)
     components: Mapping[str, str] = field(default_factory=dict)
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
-    diagnostics_topic: str = "/diagnostics"
     timeout_s: float = TIMEOUT_S
     timeouts: Mapping[str, float] = field(default_factory=dict)
     poll_s: float = 1.0
@@ -298,8 +296,7 @@ class RosComponents:
         request = {"transition": {"id": transition, "label": ""}}
         answer = yield self._node.call(service, kind, request, watch.timeout_s)
         if not answer.get("success"):
-            refused = f"refuses the transition {transition} from {watch.state}"
-            raise RosError(f"{watch.place} {refused}")
+            raise RosError(f"{watch.place} refuses the transition {transition} from {watch.state}")
         watch.state = goal
 
     def _configure(self, component: str, parameters: Parameters) -> "Future[None]":
@@ -346,8 +343,12 @@ class RosComponents:
         watch = self._watches.get(component)
         if watch is None and component not in self._programs:
             names = ", ".join([*self._watches, *self._programs]) or "none"
-            problem = f"there is no node for {component!r}, only for {names}"
-            command.set_exception(RosError(f"{problem}: name its node under components"))
+            command.set_exception(
+                RosError(
+                    f"there is no node for {component!r}, only for {names}"
+                    ": name its node under components"
+                )
+            )
         elif watch is not None and watch.is_lost:
             command.set_exception(RosError(f"{watch.place} does not answer"))
         else:

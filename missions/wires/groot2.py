@@ -79,8 +79,10 @@ class Groot2Publisher(VisitorBase):
             self._socket.bind(f"tcp://127.0.0.1:{port}")
         except zmq.ZMQError as error:
             self._context.destroy()
-            problem = f"Groot2's wire needs the TCP port {port} of this machine: {error}"
-            raise MissionError(f"{problem}; give another port") from None
+            raise MissionError(
+                f"Groot2's wire needs the TCP port {port} of this machine: {error}"
+                "; give another port"
+            ) from None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="groot2", daemon=True)
         self._thread.start()

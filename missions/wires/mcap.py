@@ -6,7 +6,7 @@ All messages are ROS 2's own; docs/recordings.md lists the topics.
 import json
 import logging
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
@@ -49,11 +49,10 @@ _log = logging.getLogger(__name__)
 
 
 class Raw(NamedTuple):
-    """A recorded message: topic, type, definition of the type, time [ns] and CDR bytes."""
+    """A recorded message: topic, type, time [ns] and CDR bytes."""
 
     topic: str
     kind: str
-    definition: str
     stamp: int
     data: bytes
 
@@ -70,21 +69,12 @@ class _Records:
         self.finish: Callable[[], object] = self._writer.finish
 
     def add(self, message: Raw) -> None:
-        topic, kind, definition, stamp, data = message
+        topic, kind, stamp, data = message
         if topic not in self._channels:
-            text = definition or ros.types().definition(kind)
+            text = ros.types().definition(kind)
             schema = self._writer.register_schema(kind, "ros2msg", text.encode())
             self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
         self._writer.add_message(self._channels[topic], stamp, data, stamp)
-
-
-def write_in_chunks(path: Path, recorded: Iterable[Raw]) -> None:
-    """Write messages to an MCAP file in compressed chunks, with an index."""
-    with path.open("wb") as file:
-        records = _Records(file, use_chunking=True)
-        for message in recorded:
-            records.add(message)
-        records.finish()
 
 
 class McapFile:
@@ -137,7 +127,11 @@ class McapFile:
         try:
             self._thread.submit(self._finish).result(PATIENCE_S)
             with draft(self.path) as part:
-                write_in_chunks(part, _mcap_messages(self.path, Counter()))
+                with part.open("wb") as file:
+                    records = _Records(file, use_chunking=True)
+                    for message in _mcap_messages(self.path, Counter()):
+                        records.add(message)
+                    records.finish()
                 part.replace(self.path)
         except TimeoutError:
             raise self._unwritten(OSError("the disk does not answer")) from None
@@ -168,7 +162,7 @@ class McapFile:
             self.refused.add(f"{topic}: {type(error).__name__}: {error}")
             return
         try:
-            self._records.add(Raw(topic, kind, "", ros.nanoseconds(time_s), data))
+            self._records.add(Raw(topic, kind, ros.nanoseconds(time_s), data))
             self._file.flush()
         except Exception as error:  # the mission goes on
             self._error = error
@@ -297,7 +291,6 @@ class Bag:
         run: how the robot was run.
         events: of the knowledge base.
         rows: what a report shows besides events: (number of the event before it, row).
-        topics: type and number of messages, by topic.
         cut: why the recording is not whole, in words; empty if it is.
         problems: what could not be read, in words, and how often.
     """
@@ -306,7 +299,6 @@ class Bag:
     run: dict[str, Any] = field(default_factory=dict)
     events: list[Event] = field(default_factory=list)
     rows: list[tuple[int, list[Any]]] = field(default_factory=list)
-    topics: dict[str, tuple[str, int]] = field(default_factory=dict)
     cut: str = ""
     problems: Counter[str] = field(default_factory=Counter)
 
@@ -318,11 +310,12 @@ class Bag:
     def _commands(self) -> list[tuple[str, str, float, bool]]:
         """Return the commands: command, component, duration [s], and whether it succeeded."""
         commands = {}
-        attempts = [event for event in self.events if event.verb == "record_attempt"]
+        given = [event for event in self.events if event.verb == "record_attempt"]
+        attempts = {event.number: event for event in given}
         for event in self.events:
             if event.verb == "finish_attempt":
                 number, result, *_ = event.arguments
-                attempt = attempts[number - 1]
+                attempt = attempts[number]
                 _, component, operation, *_ = attempt.arguments
                 is_done = result == "completed"
                 duration_s = event.time - attempt.time
@@ -342,10 +335,8 @@ def read_bag(path: str | Path) -> Bag:
         MissionError: it does not exist, nothing of it can be read, or the extra `mcap` is missing.
     """
     bag = Bag()
-    counts = Counter[tuple[str, str]]()
     diagnostics: list[tuple[int, list[dict[str, Any]]]] = []
     for raw in messages(path, bag):
-        counts[raw.topic, raw.kind] += 1
         try:
             if raw.kind == ros.DIAGNOSTICS:
                 array = ros.types().decode(raw.kind, raw.data)
@@ -356,9 +347,10 @@ def read_bag(path: str | Path) -> Bag:
         except Exception as error:  # a malformed or damaged message may raise anything
             bag.problems[f"{raw.topic}: {type(error).__name__}: {error}"] += 1
     if bag.run.get("rosa", VERSION) != VERSION:
-        reads = f"this program reads version {VERSION}"
-        raise MissionError(f"{path} is a recording of version {bag.run['rosa']!r}; {reads}")
-    bag.topics = {topic: (kind, number) for (topic, kind), number in counts.items()}
+        raise MissionError(
+            f"{path} is a recording of version {bag.run['rosa']!r}; "
+            f"this program reads version {VERSION}"
+        )
     diagnostics.sort(key=itemgetter(0))
     start = 0 if bag.run or not diagnostics else diagnostics[0][0]
     bag.messages = [
@@ -386,8 +378,10 @@ def read_page(path: str | Path) -> Recorded:
     """
     bag = read_bag(path)
     if not bag.run:
-        advice = f"rosa replay {path} --mission NAME --report FILE.html shows it"
-        raise MissionError(f"{path} is not rosa's own; {advice}")
+        raise MissionError(
+            f"{path} is not rosa's own; "
+            f"rosa replay {path} --mission NAME --report FILE.html shows it"
+        )
     now = [0.0]
     kb = KnowledgeBase(Model.from_plain(bag.run["elements"]), clock=lambda: now[0])
     recorder = Recorder(kb, header=bag.run["page"])
@@ -411,13 +405,13 @@ def messages(path: str | Path, bag: Bag) -> Iterator[Raw]:
     Raises:
         MissionError: it does not exist, nothing of it can be read, or the extra `mcap` is missing.
     """
-    if not exists(path):  # noqa: PTH110  # False for an impossible name, where Path raises
-        names = "name a file .mcap or .db3, or the folder of a rosbag2"
-        raise MissionError(f"there is no recording {path}; {names}")
-    if not is_bag(path):
-        problem = "is no recording (.mcap, .db3, or the folder of a rosbag2)"
-        advice = "`rosa run MISSION --record FILE.mcap` makes one"
-        raise MissionError(f"{path} {problem}; {advice}")
+    if not exists(path) or not is_bag(path):  # noqa: PTH110  # Path raises for an impossible name
+        raise MissionError(
+            f"{path} is no recording: "
+            "name a file .mcap or .db3, or the folder of a rosbag2"
+            "; "
+            "`rosa run MISSION --record FILE.mcap` makes one"
+        )
     ros.types()  # a missing library is not a fault of the recording
     place = Path(path)
     is_mcap = place.suffix == ".mcap"
@@ -443,8 +437,7 @@ def _mcap_messages(path: Path, problems: Counter[str]) -> Iterator[Raw]:
             if schema is None or channel.message_encoding != "cdr":
                 problems[f"{channel.topic} is encoded as {channel.message_encoding}, not cdr"] += 1
                 continue
-            definition = schema.data.decode()
-            yield Raw(channel.topic, schema.name, definition, message.log_time, message.data)
+            yield Raw(channel.topic, schema.name, message.log_time, message.data)
 
 
 def _rosbag2_messages(path: Path) -> Iterator[Raw]:
@@ -452,5 +445,4 @@ def _rosbag2_messages(path: Path) -> Iterator[Raw]:
 
     with AnyReader([path], default_typestore=ros.types().store) as reader:
         for connection, stamp, data in reader.messages():
-            definition = connection.msgdef.data
-            yield Raw(connection.topic, connection.msgtype, definition, stamp, data)
+            yield Raw(connection.topic, connection.msgtype, stamp, data)

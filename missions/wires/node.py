@@ -44,10 +44,6 @@ class Disconnected(RosError):
     """There is no connection, or it ended before the answer came."""
 
 
-NONSENSE: Final = (ValueError, LookupError, TypeError, AttributeError, RecursionError)
-"""What a malformed message raises; it has had no effect by then."""
-
-
 class Refusals(Counter[str]):
     """Counts malformed messages by what is wrong.
 
@@ -207,8 +203,8 @@ class Node(ABC):
         else:
             call.reply.set_result(answer)
 
-    def _hand_on(self, message: Message, hearer: Heard) -> None:
+    def _hand_on(self, topic: str, message: Message, hearer: Heard) -> None:
         try:
             hearer(message)
         except Exception as error:  # an error of the hearer, not of the wire
-            self.refused.add(error)
+            self.refused.add(f"{topic}: {type(error).__name__}: {error}")

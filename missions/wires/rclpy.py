@@ -58,8 +58,9 @@ class Messages(Library):
             for part in name.split("_"):
                 named = getattr(named, part)
         except (ImportError, AttributeError, ValueError) as error:
-            advice = "source the workspace that has it"
-            raise RosError(f"the type {kind!r} is not installed ({error}); {advice}") from None
+            raise RosError(
+                f"the type {kind!r} is not installed ({error}); source the workspace that has it"
+            ) from None
         return named
 
 
@@ -136,9 +137,12 @@ class RclpyNode(Node):
             from rclpy.context import Context
             from rclpy.executors import SingleThreadedExecutor
         except ImportError as error:
-            source = "it comes with ROS 2 (pixi, RoboStack, a robot), not from PyPI"
             advice = "source its setup file, or use a rosbridge"
-            raise MissionError(f"rclpy is not installed ({error}); {source}; {advice}") from None
+            raise MissionError(
+                f"rclpy is not installed ({error}); "
+                "it comes with ROS 2 (pixi, RoboStack, a robot), not from PyPI"
+                f"; {advice}"
+            ) from None
         self.types = Messages()
         self._readers: list[_Reader] = []
         self._partners: dict[tuple[str, str], Any] = {}
@@ -172,7 +176,7 @@ class RclpyNode(Node):
 
     def subscribe(self, topic: str, kind: str, hearer: Heard) -> None:
         def take(thing: Any) -> None:  # noqa: ANN401  # an object of rclpy
-            self._hand_on(thing, lambda thing: hearer(to_message(thing)))
+            self._hand_on(topic, thing, lambda thing: hearer(to_message(thing)))
 
         reader = _Reader(topic, self.types.find(kind), take)
         with self._lock:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from kb import Event
 from missions.engine.mission import MissionError, needs
 from missions.views.output import plain
-from missions.wires.node import NONSENSE, Message, RosError
+from missions.wires.node import Message, RosError
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -84,7 +84,7 @@ class Library(ABC):
             for name, value in message.items():
                 values[name] = self._to_value(*fields[name], value)
             return self.new(kind, values)
-        except (AssertionError, *NONSENSE) as error:
+        except (AssertionError, ValueError, LookupError, TypeError, AttributeError) as error:
             names = ", ".join(fields)
             raise RosError(f"{message!r:.60} is no {kind} of {names}: {error}") from None
 

@@ -182,8 +182,10 @@ class BridgedGoal(Goal):
 
     def check(self) -> None:
         if self._node.clock() >= self._ended_s + TIMEOUT_S and not self.is_over:
-            reason = "the goals that may have been ours have ended, and no result has come"
-            self.error = f"{self.action} rejects the goal, or it is lost: {reason}"
+            self.error = (
+                f"{self.action} rejects the goal, or it is lost: "
+                "the goals that may have been ours have ended, and no result has come"
+            )
 
     def _hear(self, message: Message) -> None:
         if message["op"] == "action_feedback":
@@ -344,9 +346,13 @@ class Rosbridge(Node):
                 wait_s = _FIRST_WAIT_S
                 self._report(False, f"the connection to {self._url} has ended {reason}".rstrip())
                 continue
-            again = f"it tries again, at last every {_LONGEST_WAIT_S:g} s"
-            question = "Is a rosbridge running there, and is the address (--url) right?"
-            self._report(False, f"no connection to {self._url}: {reason}; {again}. {question}")
+            self._report(
+                False,
+                f"no connection to {self._url}: {reason}; "
+                f"it tries again, at last every {_LONGEST_WAIT_S:g} s"
+                ". "
+                "Is a rosbridge running there, and is the address (--url) right?",
+            )
             self._closing.wait(wait_s)
             wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
 
@@ -355,13 +361,17 @@ class Rosbridge(Node):
             for message in self._declarations:
                 socket.send(json.dumps(message))
             self.is_connected = True
-        text = "messages published there meanwhile are lost, ours are sent now"
-        self._report(True, f"connected to {self._url}; {text}: {len(self._main.queue)}")
+        self._report(
+            True,
+            f"connected to {self._url}; "
+            "messages published there meanwhile are lost, ours are sent now"
+            f": {len(self._main.queue)}",
+        )
 
     def _hear(self, message: Message) -> None:
         if message["op"] == "publish":
             for hearer in self._hearers[message["topic"]]:
-                self._hand_on(message.get("msg", {}), hearer)
+                self._hand_on(message["topic"], message["msg"], hearer)
         elif message["op"] == "service_response":
             call = self._calls[message["id"]]
             values = message["values"]

@@ -1,49 +1,147 @@
-"""Blackboards, and the ports through which the nodes of a tree read and write them.
+"""Blackboards, the values on them, and the ports through which nodes read and write them.
 
-The XML element of a node fills each port with a literal or with a key of the blackboard.
+The XML element of a node fills each port with a literal or with a key of the blackboard. Whole
+numbers are int, doubles float, texts str; a value that the program or a port declares as bool stays
+a bool. None is no value.
 """
 
-from collections.abc import Callable, Container, Iterator, Mapping, MutableMapping
+import json
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from contextlib import suppress
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any, get_origin
+from typing import Any, get_args, get_origin
 
 from py_trees.common import Status
 from py_trees.ports import PortInformation, PortsMixin
-from py_trees.ports_utils import is_instance_of_type
+from py_trees.ports_utils import convert_str_to_type, is_instance_of_type
 
 from rosa_bt.exceptions import RosaBtError, hint
-from rosa_bt.xml.values import (
-    CASTS,
-    EMPTY,
-    Value,
-    converted,
-    is_number,
-    literal,
-    type_name,
-)
 
+Value = Any
+"""A text, a number, whatever the program wrote, or None."""
 Clock = Callable[[], float]
 """Gives the time [s]."""
 
+_WHOLE = re.compile(r"-?\d+", re.ASCII)
+_NUMBER = re.compile(
+    r"\s*[-+]?(?:inf|nan|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)", re.IGNORECASE | re.ASCII
+)
+BOOLS = {
+    **dict.fromkeys(("1", "true", "TRUE", "True"), True),
+    **dict.fromkeys(("0", "false", "FALSE", "False"), False),
+}
 
-class PortError(RosaBtError, ValueError):
-    """A port is not declared, has no value, or a value of another type."""
+_ANY = (None, Any, object)
+
+
+class NodeError(RosaBtError, ValueError):
+    """A port, a script or a node cannot do what it is given; BehaviorTree.CPP throws then."""
+
+
+def is_number(value: object) -> bool:
+    return isinstance(value, int | float)
+
+
+def double(value: Value) -> float:
+    if not is_number(value):
+        raise NodeError(f"{value!r} is no number")
+    return float(value)
+
+
+def whole(value: Value) -> int:
+    if not is_number(value) or value % 1 != 0 or abs(value) >= 2**63:
+        raise NodeError(f"{value!r} is not whole, or has more than 64 bits")
+    return int(value)
+
+
+def truth(value: Value) -> bool:
+    """Return the truth of a value: a double is true unless 0, a whole number is 1 or 0."""
+    if isinstance(value, float) or value in (0, 1):
+        return bool(value)
+    raise NodeError(f"{value!r} is neither true nor false; compare it with something")
+
+
+def as_text(value: Value) -> str:
+    """Return a value as text, as `..` in scripts does: a double with six decimals."""
+    if isinstance(value, float):
+        return f"{value:.6f}"
+    return str(int(value) if isinstance(value, bool) else value)
+
+
+CASTS: Mapping[Any, Callable[[Value], Value]] = {
+    **{bool: truth, int: whole, float: double, str: as_text}
+}
+
+
+def begun(text: str) -> float:
+    """Return the number at the beginning of a text, as the C library (`strtod`) reads it."""
+    match = _NUMBER.match(text)
+    if match is None:
+        raise NodeError(f"{text!r} is no number")
+    return float(match[0])
+
+
+def convert(value: Value, wanted: Any) -> Value:  # noqa: ANN401  # a type of values
+    """Return a value as a type; None and object are any.
+
+    Raises:
+        NodeError: the value has no meaning as that type.
+    """
+    if wanted in _ANY:
+        return value
+    try:
+        if isinstance(value, str):
+            return _read(value, wanted)
+        if is_number(value) and wanted in CASTS:
+            return CASTS[wanted](value)
+        if is_instance_of_type(value, wanted):
+            return value
+    except NotImplementedError:  # py_trees does not look into it
+        if isinstance(value, get_origin(wanted)):
+            return value
+    except (ValueError, TypeError):
+        pass
+    raise NodeError(f"{value!r} is no {type_name(wanted)}")
+
+
+def _read(text: str, wanted: Any) -> Value:  # noqa: ANN401  # a type of values
+    """Return a text as a type: numbers by their beginning, lists as `1;2;3`, or `json:...`."""
+    if wanted is str:
+        return text
+    if text.startswith("json:"):
+        return convert(json.loads(text[5:]), wanted)
+    if wanted is Status and text == "SKIPPED":
+        return Status.INVALID
+    if wanted is float:
+        return begun(text)
+    if wanted is int:
+        number = int(_WHOLE.match(text)[0])  # type: ignore[index]  # if there is none, a TypeError
+        return convert(number if abs(number) < 2**31 else None, wanted)
+    if get_origin(wanted) is list:
+        parts = text.removesuffix(";").split(";") if text else []
+        return [convert(part, get_args(wanted)[0]) for part in parts]
+    is_right, value = convert_str_to_type(text, wanted)
+    return value if is_right else convert(None, wanted)
+
+
+def type_name(wanted: Any) -> str:  # noqa: ANN401  # a type of values
+    return getattr(wanted, "__name__", str(wanted))
 
 
 @dataclass(slots=True)
 class Entry:
-    """A value under a key, its declared type (None: any), and how often it was written.
+    """A value under a key, its declared type, and how often it was written.
 
     An entry exists as soon as a port names its key; it is empty until it is written.
     """
 
-    value: Value = EMPTY
+    value: Value = None
     declared: Any = None
+    """None until a port or a number declares it; object if it takes whatever is written, as a port
+    of a Python leaf that states no type wants it."""
     version: int = 0
-    takes_any: bool = False
-    """Whether a port of a Python leaf that states no type names it: it takes whatever is
-    written."""
     is_emptied: bool = False
     """Whether SetBlackboard emptied it by writing a text, as it does if no type is declared."""
 
@@ -52,24 +150,10 @@ class Entry:
         self.version += 1
 
     def take(self, value: Value) -> None:
-        """Write a value from the program or a port, as the declared type.
-
-        The first value declares it.
-
-        Raises:
-            PortError: the value is not of the declared type, and cannot be converted.
-        """
-        declared = self.declared
-        try:
-            if declared is None:
-                self.declared = type(value) if type(value) in CASTS else None
-            elif isinstance(value, str):
-                value = converted(value, declared)
-            elif declared in CASTS and declared is not str:
-                value = CASTS[declared](value)
-        except (ValueError, TypeError) as error:
-            raise PortError(f"an entry cannot take {value!r}: {error}") from None
-        self.put(value)
+        """Write a value from the program or a port, as the declared type."""
+        if self.declared is None and type(value) in (bool, int, float):
+            self.declared = type(value)
+        self.put(convert(value, self.declared))
 
 
 class Blackboard(MutableMapping[str, Any]):
@@ -81,60 +165,47 @@ class Blackboard(MutableMapping[str, Any]):
     As a mapping, it does not contain empty entries.
 
     Args:
-        clock: of the main tree.
         parent: the blackboard of the tree around this one.
         ports: the attributes of the SubTree element: keys and constants.
         autoremap: whether all keys are remapped to their own names.
-        enums: the names that scripts can use, of the main tree.
+
+    Attributes:
+        root: the blackboard of the main tree, which has the clock and the enums of all.
+        clock: gives the time [s].
+        has_own_clock: whether it keeps its clock when the tree is run.
+        enums: the names that scripts can use.
     """
+
+    clock: Clock = time.monotonic
+    has_own_clock = False
+    enums: Mapping[str, int] = {}
 
     def __init__(
         self,
-        clock: Clock,
         parent: "Blackboard | None" = None,
         ports: Mapping[str, str] | None = None,
         *,
         autoremap: bool = False,
-        enums: Mapping[str, int] | None = None,
     ) -> None:
-        self.parent = parent
         self.root: Blackboard = self if parent is None else parent.root
-        self.has_own_clock = False
-        self.read_clock = clock
-        self.enums: Mapping[str, int] = enums or {}
-        self._remapping: dict[str, str] = {}
+        self._parent = parent
         self._autoremap = autoremap
         self._entries: dict[str, Entry] = {}
+        self._outer_keys: dict[str, str | None] = {}
         for name, text in (ports or {}).items():
-            key = key_of(text, name)
-            if key is None:
-                value = literal(text)
-                self._entries[name] = Entry(
-                    value, None if isinstance(value, str) else type(value), 1
-                )
-            else:
-                self._remapping[name] = key
-        self._constants = frozenset(self._entries)
-
-    def clock(self) -> float:
-        """Return the time by the clock of the whole tree [s]."""
-        return self.root.read_clock()
-
-    def follow(self, clock: Clock) -> None:
-        """Take another clock, unless the tree was given one of its own."""
-        if not self.has_own_clock:
-            self.read_clock = clock
+            self._outer_keys[name] = key_of(text, name)
+            if self._outer_keys[name] is None:
+                self[name] = _literal(text)
 
     def place(self, key: str) -> tuple[dict[str, Entry], str]:
         """Return where a key is kept: the entries of a blackboard, and its name there."""
         if key.startswith("@"):
             return self.root.place(key[1:])
-        if self.parent is not None and key not in self._constants:
-            if key in self._remapping:
-                return self.parent.place(self._remapping[key])
-            if self._autoremap and not key.startswith("_"):
-                return self.parent.place(key)
-        return self._entries, key
+        same = key if self._autoremap and not key.startswith("_") else None
+        outer = self._outer_keys.get(key, same)
+        if outer is None or self._parent is None:
+            return self._entries, key
+        return self._parent.place(outer)
 
     def entry(self, key: str) -> Entry | None:
         """Return the entry of a key, which may be empty; None if it does not exist."""
@@ -149,40 +220,38 @@ class Blackboard(MutableMapping[str, Any]):
         entries, name = self.place(key)
         if name not in entries:
             entries[name] = Entry(declared=declared)
-            if self._remapping.get(key, "").startswith("@"):  # it is shown under both names
+            if (self._outer_keys.get(key) or "").startswith("@"):  # it is shown under both names
                 entries[f"@{name}"] = entries[name]
         return entries[name]
 
-    def unset(self, key: str) -> None:
-        """Remove a key from this blackboard.
-
-        As in BehaviorTree.CPP, a remapped key is not removed.
-        """
-        self._entries.pop(key, None)
-
     def __getitem__(self, key: str) -> Value:
         entry = self.entry(key)
-        if entry is None or entry.value is EMPTY:
+        if entry is None or entry.value is None:
             raise KeyError(key)
         return entry.value
 
     def __setitem__(self, key: str, value: Value) -> None:
-        entry = self.entry(key)
-        if entry is not None:
-            entry.take(value)
-        else:  # a text from the program declares no type
-            self.make(key, type(value) if is_number(value) else None).put(value)
+        self.make(key).take(value)
 
     def __delitem__(self, key: str) -> None:
-        entries, name = self.place(key)
-        del entries[name]
+        """Remove a key, which may not exist; as in BehaviorTree.CPP, a remapped one stays."""
+        self._entries.pop(key, None)
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the keys that have a value in this blackboard itself."""
-        return (key for key, entry in self._entries.items() if entry.value is not EMPTY)
+        return (key for key, entry in self._entries.items() if entry.value is not None)
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
+
+
+def _literal(text: str) -> int | float | str:
+    """Return the value of a literal of a SubTree: a whole number, a double, or a text."""
+    for kind in (int, float):
+        with suppress(ValueError):
+            if "_" not in text:
+                return kind(text)
+    return text
 
 
 Declared = Mapping[str, PortInformation]
@@ -194,28 +263,23 @@ def key_of(written: str, port: str) -> str | None:
 
     None for a literal.
     """
-    written = written.strip()
-    if not (len(written) > 2 and written.startswith("{") and written.endswith("}")):
+    match = re.fullmatch(r"\s*{(.+)}\s*", written)
+    if match is None:
         return None
-    return port if written == "{=}" else written[1:-1]
-
-
-def ports_of(made: object) -> tuple[Declared, Declared]:
-    """Return all py_trees ports of a behaviour or of a class, and its output ports."""
-    if isinstance(made, PortsMixin) or (isinstance(made, type) and issubclass(made, PortsMixin)):
-        return {**made.input_ports(), **made.output_ports()}, made.output_ports()
-    return {}, {}
+    return port if match[1] == "=" else match[1]
 
 
 class Ports:
     """The ports of a node, filled by the attributes of its element.
 
+    It replaces the client of py_trees' blackboard, which stores for the whole process.
+
     Attributes:
         keys: the blackboard keys of ports that have one, by name of the port.
-        literals: the values of ports that have a literal, by name of the port.
+        literals: the texts of ports that have a literal, by name of the port.
 
     Raises:
-        PortError: an attribute is not a port of the node, a literal has a wrong type, or a key has
+        NodeError: an attribute is not a port of the node, a literal has a wrong type, or a key has
             another type.
     """
 
@@ -229,30 +293,23 @@ class Ports:
         self._seen = 0
         for name, text in written.items():
             if name not in declared:
-                raise PortError(f"it has no port {name!r}; {hint(name, declared, 'ports')}")
-            wanted = self._type(name)
+                raise NodeError(f"it has no port {name!r}; {hint(name, declared, 'ports')}")
             key = key_of(text, name)
-            if key is None:  # a wrong outcome raises only in the tick
-                self.literals[name] = text if wanted is Status else self._converted(name, text)
+            if key is None:
+                self.literals[name] = text
+                self.get(name)
                 continue
             self.keys[name] = key
-            before = blackboard.make(key, wanted).declared
-            if wanted is not None and before not in (None, wanted, str):
-                raise PortError(
-                    f"{{{key}}} is declared as {type_name(before)} already, "
-                    f"and {name!r} declares it as {type_name(wanted)}"
-                )
-
-    def _type(self, name: str) -> Any:  # noqa: ANN401  # as it is declared; None for any
-        wanted = self._declared[name].data_type
-        return None if wanted in (Any, object) else wanted
-
-    def check_required(self, but: Container[str] = ()) -> None:
-        """Raise if a required port, except those in `but`, has neither a value nor a default."""
-        for name, port in self._declared.items():
-            is_set = name in self.keys or name in self.literals or name in but
-            if port.required and not (is_set or port.has_default):
-                raise PortError(f"the port {name!r} is missing; write {name}=... in the element")
+            wanted = declared[name].data_type
+            entry = blackboard.make(key, wanted)
+            if wanted in _ANY:
+                entry.declared = entry.declared or wanted
+            elif entry.declared not in (*_ANY, wanted, str):
+                before = f"{{{key}}} is declared as {type_name(entry.declared)} already"
+                raise NodeError(f"{before}, and {name!r} declares it as {type_name(wanted)}")
+        for name, port in declared.items():
+            if port.required and not port.has_default and name not in written:
+                raise NodeError(f"it needs a value for {name!r}; write {name}=... in the element")
 
     def exists(self, name: str) -> bool:
         """Tell whether a port has a value now; its default does not count."""
@@ -260,20 +317,20 @@ class Ports:
 
     def get(self, name: str) -> Value:
         """Return the value of a port now; its default if the element does not set it."""
-        key = self.keys.get(name)
-        if name in self.literals:
-            return self._converted(name, self.literals[name])
-        if key is None and self._declared[name].has_default:
-            return self._declared[name].default_value
-        if key is None or key not in self.blackboard:
-            missing = f"there is no {key!r} on the blackboard (yet)" if key else "it is not written"
-            raise PortError(f"the port {name!r} has no value: {missing}")
-        return self._converted(name, self.blackboard[key])
+        value = self.literals.get(name, self._declared[name].default_value)
+        if name in self.keys:
+            value = self.blackboard.get(self.keys[name])
+        if value is None:
+            raise NodeError(f"the port {name!r} has no value (yet)")
+        try:
+            return convert(value, self._declared[name].data_type)
+        except NodeError as error:
+            raise NodeError(f"the port {name!r}: {error}") from None
 
     def set(self, name: str, value: Value) -> None:
         """Write the value of an output port to its key; without a key, do nothing."""
         if name in self.keys:
-            self.blackboard.make(self.keys[name], self._type(name)).take(value)
+            self.blackboard.make(self.keys[name], self._declared[name].data_type).take(value)
 
     def is_updated(self, name: str) -> bool:
         """Tell whether the entry that a port names was written since the last call."""
@@ -283,40 +340,17 @@ class Ports:
             self._seen = entry.version
         return self._seen != before
 
+    def register_key(self, **_: object) -> None:
+        """Do nothing: the ports are known."""
+
+    def is_registered(self, name: str) -> bool:
+        return name in self._declared
+
+    def absolute_name(self, key: str) -> str:
+        return self.keys.get(key) or key
+
     def connect(self, behaviour: PortsMixin) -> None:
         """Connect the py_trees ports of a behaviour to this blackboard."""
-        client = (
-            SimpleNamespace(  # replaces the client of py_trees, which stores for the whole process
-                register_key=lambda **_: None,
-                is_registered=ports_of(behaviour)[0].__contains__,
-                absolute_name=lambda key: self.keys.get(key) or key,
-                exists=self.exists,
-                get=self.get,
-                set=self.set,
-            )
-        )
-        behaviour.attach_blackboard_client = lambda **_: client  # type: ignore[method-assign,assignment]  # only here
-        try:
-            behaviour.setup_ports()
-        finally:
-            del behaviour.attach_blackboard_client
-
-    def _converted(self, name: str, value: Value) -> Value:
-        """Return a value as the type that the port declares."""
-        wanted = self._type(name)
-        if wanted is None:
-            return value
-        try:
-            if isinstance(value, str):
-                return converted(value, wanted)
-            if is_number(value) and wanted in CASTS:
-                return CASTS[wanted](value)
-            if is_instance_of_type(value, wanted):
-                return value
-        except NotImplementedError:
-            if isinstance(value, get_origin(wanted)):
-                return value
-        except (ValueError, TypeError):
-            pass
-        problem = f"takes a value of type {type_name(wanted)}, not {value!r}"
-        raise PortError(f"the port {name!r} {problem}")
+        behaviour.attach_blackboard_client = lambda **_: self  # type: ignore[method-assign,assignment]  # only here
+        behaviour.setup_ports()
+        del behaviour.attach_blackboard_client

@@ -1,25 +1,157 @@
-"""Makes behaviours of the elements of a file."""
+"""Registers behaviours under the names that files use, and makes the trees of files."""
 
-import re
-import time
-from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
+from typing import Any, Literal, TypeVar, overload
 
 from py_trees.behaviour import Behaviour
+from py_trees.ports import PortInformation, PortsMixin
 
-from rosa_bt.decorators import Clock, ClockFollower
-from rosa_bt.exceptions import RosaBtError, XmlError, hint, in_words
-from rosa_bt.xml.blackboard import Blackboard, Ports
-from rosa_bt.xml.document import EXPLICIT, MARKS, MAX_DEPTH, MODELS, Document, Element
-from rosa_bt.xml.nodes import MAX_NODES, NODES, RULES, Branch, Rules, Slot, is_plain
-from rosa_bt.xml.registry import BehaviourRegistry, Entry
-from rosa_bt.xml.values import BOOLS
+from rosa_bt.behaviours import ActionBehaviour, HasStatus, IsActionFeasible, Measurement
+from rosa_bt.composites import DoUntilUnfeasible
+from rosa_bt.decorators import Clock, ClockFollower, ForAction, Retry, UntilSuccess
+from rosa_bt.exceptions import RegistryError, RosaBtError, XmlError, hint, in_words
+from rosa_bt.xml.blackboard import Blackboard, Declared, Ports, convert, key_of
+from rosa_bt.xml.document import MARKS, Document, Element
+from rosa_bt.xml.nodes import NODES, RULES, Branch, Slot, is_plain
+from rosa_bt.xml.scripts import parse_script
 
-_QUOTED = re.compile(r"""'[^']*'|"[^"]*\"""")
-_OF_EDITORS = ("_autoremap", "_collapsed", "_description", "_fullpath", "_uid")
-"""Attributes, in small letters, that are no rules of a node and that editors write."""
-_SCRIPT_PORTS = {"Script": "code", "ScriptCondition": "code", "Precondition": "if"}
+Factory = Callable[..., Behaviour]
+F = TypeVar("F", bound=Factory)
+Kind = Literal["action", "condition"]
+
+_ROLES = frozenset({"name", "child", "children", "blackboard", "behaviour_class_name"})
+"""Parameters that no attribute of an element sets."""
+_VARIOUS = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+_DEFAULTS: Mapping[str, Factory] = {
+    kind.__name__: kind
+    for kind in (
+        *(HasStatus, IsActionFeasible, Measurement),
+        *(DoUntilUnfeasible, ForAction, Retry, UntilSuccess),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Registration:
+    """A behaviour that is registered under a name."""
+
+    factory: Factory
+    kind: Kind | None
+    bound: Mapping[str, Any]
+    """Arguments for every factory that has a parameter of the same name."""
+
+    @property
+    def parameters(self) -> Mapping[str, inspect.Parameter]:
+        try:
+            return inspect.signature(self.factory, eval_str=True).parameters
+        except (NameError, TypeError):  # an annotation is known to type checkers only
+            return inspect.signature(self.factory).parameters
+
+    @property
+    def child_parameters(self) -> list[str]:
+        """The parameters that take one child each, in the order of the children."""
+        parameters = self.parameters.items()
+        return [
+            name
+            for name, parameter in parameters
+            if name == "child" or parameter.annotation is Behaviour
+        ]
+
+    @property
+    def arity(self) -> tuple[float, float]:
+        """The least and the greatest number of children that it takes."""
+        count = len(self.child_parameters)
+        return (1, inf) if "children" in self.parameters else (count, count)
+
+    @property
+    def arguments(self) -> Declared:
+        """The parameters that attributes can set, as ports."""
+        roles = {*self.bound, *_ROLES, *self.child_parameters}
+        arguments = {}
+        for name, parameter in self.parameters.items():
+            if parameter.kind not in _VARIOUS and name not in roles:
+                is_required = parameter.default is parameter.empty
+                has_type = parameter.annotation is not parameter.empty
+                data_type = parameter.annotation if has_type else object
+                arguments[name] = PortInformation(data_type, is_required)
+        return arguments
+
+    def make(self, roles: Mapping[str, Any], arguments: Mapping[str, Any]) -> Behaviour:
+        """Make the behaviour of its arguments, and of the bound ones and roles that it takes."""
+        names = set(self.parameters)
+        if "kwargs" in names:
+            names.add("name")
+        offered = {**self.bound, **roles}
+        return self.factory(**{key: offered[key] for key in offered.keys() & names}, **arguments)
+
+
+class BehaviourRegistry:
+    """The behaviours that files of trees can use, by name.
+
+    Args:
+        bound: arguments for every factory that has a parameter of the same name, e.g. `kb=kb`.
+            IsActionFeasible, HasStatus, Measurement, ForAction, DoUntilUnfeasible, Retry and
+            UntilSuccess are registered from the start; all but the last two need a `kb`.
+
+    Attributes:
+        entries: the registered behaviours, by name.
+
+    Example::
+
+        registry = BehaviourRegistry(kb=kb)
+
+        @registry.register("search")
+        class Search(RosaAction): ...
+    """
+
+    def __init__(self, **bound: Any) -> None:  # noqa: ANN401  # whatever the behaviours of the user need
+        self.bound = bound
+        self.entries = {name: Registration(make, None, bound) for name, make in _DEFAULTS.items()}
+
+    @overload
+    def register(self, name: str, *, kind: Kind | None = None) -> Callable[[F], F]: ...
+
+    @overload
+    def register(self, name: str, factory: F, *, kind: Kind | None = None) -> F: ...
+
+    def register(
+        self, name: str, factory: Factory | None = None, *, kind: Kind | None = None
+    ) -> object:
+        """Register a class of behaviours, or a function that makes a behaviour; also a decorator.
+
+        The parameters `name`, `child` and `children` are set from the file, `blackboard` to that of
+        the tree; those that are annotated as Behaviour take one child each. Every other parameter,
+        and every port of py_trees, is an attribute, converted to its declared type.
+
+        Args:
+            name: the tag or ID in the file; a node of that name is replaced.
+            factory: the class or function, which is returned as it is; without it, a decorator is
+                returned.
+            kind: "condition" for a leaf that is ticked again after it has finished, even if it was
+                not reset; "action" for a leaf that is not. Without it, the file decides, or else
+                the class: without `initialise` and `terminate` of its own, it makes conditions.
+
+        Raises:
+            RegistryError: the name is taken.
+        """
+        if factory is None:
+            return lambda factory: self.register(name, factory, kind=kind)
+        if name in self.entries and self.entries[name].factory is not _DEFAULTS.get(name):
+            raise RegistryError(f"{name!r} is registered already; choose another name")
+        self.entries[name] = Registration(factory, kind, self.bound)
+        return factory
+
+    def name_of(self, behaviour: Behaviour) -> str | None:
+        """Return the name of its class, or its own if a function is registered under that."""
+        for name, entry in self.entries.items():
+            is_its = name == behaviour.name and not isinstance(entry.factory, type)
+            if is_its or entry.factory is type(behaviour):
+                return name
+        return None
 
 
 class SubTree(Branch, ClockFollower, is_node=False):
@@ -42,7 +174,8 @@ class SubTree(Branch, ClockFollower, is_node=False):
         self.notes = tuple(document.notes)
 
     def follow(self, clock: Clock) -> None:
-        self.blackboard.root.follow(clock)
+        if not self.blackboard.root.has_own_clock:
+            self.blackboard.root.clock = clock
 
 
 def load_xml(
@@ -62,8 +195,7 @@ def load_xml(
         tree: ID of the tree to make; without it, the `main_tree_to_execute` of the file, or its
             only tree.
         clock: gives the time [s] to Delay, Timeout and Sleep; without it, the clock of the
-            `TreeRunner`, or of the knowledge base that the registry is bound to, or else the
-            monotonic clock of this computer.
+            `TreeRunner`, or else the monotonic clock of this computer.
         enums: names that scripts can use, with their numbers, e.g. `{"RED": 1}`.
 
     Returns:
@@ -76,11 +208,11 @@ def load_xml(
     sources = [text_or_path] if isinstance(text_or_path, str | Path) else text_or_path
     document = Document(sources)
     for name, element in document.trees.items():
-        if name in NODES or name in registry.entries or name == "SubTree":
+        if name in NODES or name in registry.entries:
             raise element.error(f"{name!r} is the name of a node; rename the tree")
-    kb = registry.bound.get("kb")
-    default = time.monotonic if kb is None else lambda: float(kb.now)
-    board = Blackboard(clock or default, enums=enums)
+    board = Blackboard()
+    board.enums = enums or {}
+    board.clock = clock or board.clock
     board.has_own_clock = clock is not None
     return _Builder(document, registry).tree(document.main(tree), document.root, None, board)
 
@@ -89,10 +221,7 @@ class _Builder:
     def __init__(self, document: Document, registry: BehaviourRegistry) -> None:
         self._document = document
         self._registry = registry
-        self._count = 0
-        self._depth = 0
         self._path: list[str] = []  # IDs of the trees around the node that is being made
-        self._named: set[tuple[int, str | None]] = set()
 
     def tree(self, tree: str, asked_by: Element, name: str | None, board: Blackboard) -> SubTree:
         if tree in self._path:
@@ -103,135 +232,124 @@ class _Builder:
         return SubTree(name or tree, slot, board, tree, self._document)
 
     def _slot(self, element: Element, board: Blackboard) -> Slot:
-        self._count += 1
-        self._depth += 1
-        if self._count > MAX_NODES:
-            raise element.error(f"the tree has more than {MAX_NODES} nodes, subtrees included")
-        if self._depth > MAX_DEPTH:
-            raise element.error(f"the tree is more than {MAX_DEPTH} levels deep, subtrees included")
         try:
-            rules = self._rules(element)
-            slot = self._made(element, board)
-            if rules:
-                slot.rules = Rules(board, rules)
+            node = self._node(element, board)
+            codes = [(rule, element.get(rule)) for rule in RULES]
+            rules = {rule: parse_script(code, board) for rule, code in codes if code is not None}
         except XmlError:
             raise
         except Exception as error:  # constructors of the user may raise anything
             problem = str(error) if isinstance(error, RosaBtError) else in_words(error)
             raise element.error(f"<{element.node}> cannot be made: {problem}") from error
-        self._depth -= 1
-        slot.source = (element.tag, element.attrib)
-        return slot
+        is_condition = self._is_condition(element, node)
+        return Slot(node, is_condition, (element.tag, element.attrib), rules)
 
-    def _made(self, element: Element, board: Blackboard) -> Slot:
+    def _node(self, element: Element, board: Blackboard) -> Behaviour:
         tag = element.node
-        name = element.get("name") or tag
-        entry = self._registry.entries.get(tag)
         if tag == "SubTree":
-            return Slot(self._subtree(element, board))
-        if entry is None and tag not in NODES:
+            return self._subtree(element, board)
+        entry = self._registry.entries.get(tag) or NODES.get(tag)
+        if entry is None:
             raise element.error(self._unknown(tag))
-        if "ID" in element.attrib and element.tag not in MODELS:
-            advice = "only <Action ID=...> and such have one; write name=..."
-            raise element.error(f"<{element.tag}> has an ID; {advice}")
-        _check_children(element, *(entry.children if entry else NODES[tag].CHILDREN))
+        _check_children(element, *entry.arity)
+        name = element.get("name") or tag
         slots = [self._slot(child, board) for child in element.children]
-        if entry is not None:
-            branches = [Branch(slot.node.name, [slot]) for slot in slots]
+        if isinstance(entry, Registration):
+            return self._leaf(element, name, entry, slots, board)
+        node = entry(name, slots) if slots else entry(name)  # type: ignore[call-arg]  # of an XmlNode
+        node.prepare(Ports(node.PORTS, element.ports, board))
+        return node
 
-            def note(text: str) -> None:
+    def _leaf(
+        self,
+        element: Element,
+        name: str,
+        entry: Registration,
+        slots: list[Slot],
+        board: Blackboard,
+    ) -> Behaviour:
+        """Make a behaviour of the user; raise if an attribute is unknown, missing, or wrong."""
+        arguments = entry.arguments
+        written = element.ports
+        literals = {
+            name: text
+            for name, text in written.items()
+            if name in arguments and key_of(text, name) is None
+        }
+        constants = Ports(arguments, literals, board)
+        branches = [Branch(slot.node.name, [slot]) for slot in slots]
+        roles: dict[str, Any] = {"name": name, "children": branches, "blackboard": board}
+        roles.update(zip(entry.child_parameters, branches, strict=False))
+        behaviour = entry.make(roles, {name: constants.get(name) for name in literals})
+        declared = ports_of(behaviour)
+        ports = Ports({**arguments, **declared}, written, board)
+        late = [name for name in ports.keys if name not in declared]
+        for name in late:
+            if name not in vars(behaviour):
+                problem = f"{type(behaviour).__name__} keeps no attribute {name!r}; declare a port"
+                text = f"{name}={written[name]!r} is not read: {problem}"
                 self._document.note(element.where, text)
+        initialise = behaviour.initialise
 
-            node = entry.make(name, element.ports, branches, board, note)
-            return Slot(node, not slots and self._is_condition(element, entry, node))
-        built_in = NODES[tag](name, slots)
-        ports = Ports(built_in.PORTS, element.ports, board)
-        ports.check_required()
-        built_in.prepare(ports)
-        return Slot(built_in, is_plain(built_in))
+        def read_and_initialise() -> None:
+            for name in late:
+                if ports.exists(name):
+                    vars(behaviour)[name] = ports.get(name)
+            initialise()
 
-    def _is_condition(self, element: Element, entry: Entry, leaf: Behaviour) -> bool:
+        if late:
+            vars(behaviour)["initialise"] = read_and_initialise
+        if isinstance(behaviour, PortsMixin):
+            ports.connect(behaviour)
+        if isinstance(behaviour, ActionBehaviour) and "action" not in ports.keys:
+            action = behaviour.action
+            behaviour.kb.is_feasible(action)  # raises now, if it is unknown
+            if ports.literals.get("action", action) != action:
+                raise element.error(f"its class does {action!r} already; leave action=... out")
+        return behaviour
+
+    def _is_condition(self, element: Element, node: Behaviour) -> bool:
+        entry = self._registry.entries.get(element.node)
         model = self._document.models.get(element.node, element)
-        kinds = [entry.kind, *(tag.lower() for tag in (element.tag, model.tag) if tag in EXPLICIT)]
-        stated = [kind for kind in kinds if kind]
-        return stated[0] == "condition" if stated else is_plain(leaf)
+        for kind in (entry.kind, element.tag.lower(), model.tag.lower()) if entry else ():
+            if kind in ("action", "condition"):
+                return kind == "condition"
+        return is_plain(node)
 
     def _subtree(self, element: Element, around: Blackboard) -> SubTree:
         tree = element.needed("ID")
         _check_children(element, 0, 0)
-        autoremap = element.get("_autoremap", "false")
-        if autoremap not in BOOLS:
-            raise element.error(f"_autoremap is true or false, not {autoremap!r}")
-        name = element.get("name")
-        if name and (id(around), name) in self._named:
-            raise element.error(f"two SubTrees are named {name!r}; give one another name")
-        self._named.add((id(around), name))
-        defaults = {} if BOOLS[autoremap] else self._defaults(element, tree)
-        ports = {**defaults, **element.ports}
-        board = Blackboard(around.clock, around, ports, autoremap=BOOLS[autoremap])
-        return self.tree(tree, element, name, board)
-
-    def _defaults(self, element: Element, tree: str) -> dict[str, str]:
+        autoremap = convert(element.get("_autoremap", "false"), bool)
+        ports = element.ports
         model = self._document.models.get(tree, element)
-        defaults = {}
-        for port in model.children:
-            if port.tag.endswith("_port"):  # editors write other elements, too
-                name = port.needed("name")
-                if default := port.get("default"):
-                    defaults[name] = default
-                elif name not in element.ports:
-                    says = f"its model ({port.where}) says"
-                    raise element.error(f"the tree {tree!r} needs {name}=..., {says}")
-        return defaults
+        for port in model.children if not autoremap else ():
+            name = port.get("name", "")
+            if port.tag.endswith("_port") and name not in ports:
+                ports[name] = port.needed("default")
+        board = Blackboard(around, ports, autoremap=autoremap)
+        return self.tree(tree, element, element.get("name"), board)
 
     def _unknown(self, tag: str) -> str:
         if tag in MARKS:
             return f'<{tag}> is of version 3; write BTCPP_format="3", or its name in version 4'
         if tag in self._document.trees:
             return f'<{tag}> is a tree; write <SubTree ID="{tag}"/>'
-        near = get_close_matches(tag, [*NODES, "SubTree"], 1)
-        guess = f"did you mean the node {near[0]!r}? " if near else ""
-        known = hint(tag, self._registry.entries, "registered behaviours")
-        return f"<{tag}> is unknown; {guess}{known}"
-
-    def _rules(self, element: Element) -> dict[str, str]:
-        """Return the rules of an element.
-
-        Note attributes that look like rules, and double quotes.
-        """
-        rules = {}
-        for name in list(element.attrib):
-            if name in RULES or name == _SCRIPT_PORTS.get(element.node):
-                self._convert_quotes(element, name)
-            if name in RULES:
-                rules[name] = element.attrib[name]
-            elif name.startswith("_") and name.lower() not in _OF_EDITORS:
-                (near,) = get_close_matches(name, (*RULES, "_autoremap"), 1, 0.0)
-                if name == "__shared_blackboard":
-                    near = "_autoremap"
-                self._document.note(element.where, f"{name} means nothing; did you mean {near}?")
-        return rules
-
-    def _convert_quotes(self, element: Element, name: str) -> None:
-        """Write the texts of a script in single quotes, as is wanted since 4.9."""
-        before = element.attrib[name]
-        after = _QUOTED.sub(_single_quoted, before)
-        if after != before:
-            element.set(name, after)
-            self._document.note(element.where, f"{name}: texts stand in single quotes: {after}")
+        return f"<{tag}> is unknown; {hint(tag, [*self._registry.entries, *NODES], 'nodes')}"
 
 
-def _single_quoted(match: re.Match[str]) -> str:
-    return match[0] if "'" in match[0] else f"'{match[0][1:-1]}'"
+def ports_of(behaviour: Behaviour) -> Declared:
+    """Return the py_trees ports of a behaviour; no output needs a key."""
+    if not isinstance(behaviour, PortsMixin):
+        return {}
+    outputs = behaviour.output_ports().items()
+    return {
+        **behaviour.input_ports(),
+        **{name: replace(port, required=False) for name, port in outputs},
+    }
 
 
-def _check_children(element: Element, least: int, most: int) -> None:
-    tags = [child.node for child in element.children]
-    if element.node == "ReactiveSequence" and tags.count("AsyncSequence") > 1:
-        problem = "a ReactiveSequence has at most one asynchronous child; use Sequence in it"
-        raise element.error(problem)
-    if not least <= len(tags) <= most:
-        numbers = {MAX_NODES: f"at least {least}", least: str(least)}
-        number = numbers.get(most, f"{least} to {most}")
-        advice = "; put a Sequence around them" if most == 1 and tags else ""
-        raise element.error(f"children of <{element.node}>: {len(tags)}; it takes {number}{advice}")
+def _check_children(element: Element, least: float, most: float) -> None:
+    count = len(element)
+    if not least <= count <= most:
+        numbers = str(least) if least == most else f"{least} to {most}"
+        raise element.error(f"children of <{element.node}>: {count}; it takes {numbers}")

@@ -7,40 +7,32 @@ import math
 import operator
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from py_trees.common import Status
 
-from rosa_bt.xml.blackboard import Blackboard
-from rosa_bt.xml.values import (
-    EMPTY,
-    ScriptError,
+from rosa_bt.xml.blackboard import (
+    CASTS,
+    Blackboard,
+    NodeError,
     Value,
     as_text,
     begun,
-    converted,
+    convert,
     double,
-    fit,
     is_number,
     truth,
     whole,
 )
 
-if TYPE_CHECKING:
-    from lark import Lark
-
-ParsedScript = Callable[[Blackboard], Value]
-"""Runs a script on a blackboard, and returns the value of its last statement."""
+ParsedScript = Callable[[], Value]
+"""Runs a script on a blackboard, and returns the value of its last statement; None if empty."""
 
 _EPSILON = 2.0**-23  # numbers that differ by less are equal; `<` and `>` are exact
 
 
 def _quotient(left: float, right: float) -> float:
-    if right:
-        return left / right
-    if left == 0 or math.isnan(left):
-        return math.nan
-    return math.copysign(math.inf, left) * math.copysign(1, right)
+    return left / right if right else left * math.copysign(math.inf, right)
 
 
 def _is_equal(left: Value, right: Value) -> bool:
@@ -62,10 +54,10 @@ _OPERATORS: Mapping[str, tuple[Callable[[Value], Any], Callable[[Any, Any], Any]
 _COMPARISONS: Mapping[str, Callable[[Value, Value], bool]] = {
     "==": _is_equal,
     "!=": lambda left, right: not _is_equal(left, right),
-    "<": lambda left, right: not left >= right,  # nan is both less and greater than any number
-    ">": lambda left, right: not left <= right,
-    "<=": lambda left, right: not left > right,
-    ">=": lambda left, right: not left < right,
+    "<": operator.lt,
+    ">": operator.gt,
+    "<=": operator.le,
+    ">=": operator.ge,
 }
 
 
@@ -75,74 +67,82 @@ def _operate(sign: str, left: Value, right: Value) -> Value:
         read, operate = _OPERATORS[sign]
         return double(operate(read(left), read(right)))
     texts = sum(isinstance(side, str) for side in sides)
-    others = sum(map(is_number, sides))
-    if (sign in ("+", "..") and texts == 2) or (sign == ".." and texts == others == 1):
+    is_joined = sign == ".." and texts and None not in sides
+    if is_joined or (sign == "+" and texts == 2):
         return as_text(left) + as_text(right)
-    raise ScriptError(f"{sign!r} does not work with {left!r} and {right!r}")
+    raise NodeError(f"{sign!r} does not work with {left!r} and {right!r}")
+
+
+def _fit(value: Value, before: Value) -> Value:
+    """Return a value as the kind of value that an entry had before."""
+    kind = type(before)
+    if is_number(before) and is_number(value):
+        if kind is bool and value not in (0, 1):
+            kind = int
+        return CASTS[kind](value)
+    if before is None or kind is type(value):
+        return value
+    raise NodeError(f"{value!r} does not fit an entry that holds {before!r}")
 
 
 class _Run:
-    """Evaluates the trees and tokens of lark on a blackboard; methods have the names of rules."""
+    """Evaluates trees and tokens of lark; methods have the names of rules and terminals."""
 
     def __init__(self, board: Blackboard) -> None:
         self._board = board
+        self._enums = {"true": 1, "false": 0, **board.root.enums}
 
     def value(self, part: Any) -> Value:  # noqa: ANN401  # a tree or token of lark
-        if not isinstance(part, str):
-            return getattr(self, part.data, self.fold)(*part.children)
-        text = str(part)
-        if text[0] in "'\"":
-            return text[1:-1]
-        if text[0].isdigit():
-            return _read_number(text)
-        if text in ("true", "false"):
-            return float(text == "true")
-        if text in self._board.root.enums:
-            return float(self._board.root.enums[text])
+        if isinstance(part, str):
+            return getattr(self, part.type)(str(part))  # type: ignore[attr-defined]  # it is a token
+        return getattr(self, part.data)(*part.children)
+
+    def TEXT(self, text: str) -> str:  # as in the grammar
+        return text[1:-1]
+
+    def NUMBER(self, text: str) -> int | float:  # as in the grammar
+        if text.isdigit() or "x" in text.lower():
+            number = int(text, 10 if text.isdigit() else 16)
+            return number if number < 2**63 else 0
+        return float(text)
+
+    def NAME(self, text: str) -> Value:  # as in the grammar
+        if text in self._enums:
+            return float(self._enums[text])
         entry = self._board.entry(text)
         if entry is None:
-            raise ScriptError(f"there is no {text!r} on the blackboard (yet)")
+            raise NodeError(f"there is no {text!r} on the blackboard (yet)")
         return entry.value
 
     def assign(self, target: Any, sign: str, expression: Any) -> Value:  # noqa: ANN401  # a node of the grammar
         board = self._board
         name = str(target)
-        if getattr(target, "type", "") != "NAME" or name in ("true", "false"):
-            raise ScriptError("the left side of an assignment has to be a name")
+        if getattr(target, "type", "") != "NAME":
+            raise NodeError("the left side of an assignment has to be a name")
         if sign != ":=" and board.entry(name) is None:
-            raise ScriptError(f"there is no {name!r} on the blackboard; `{name} := ...` makes it")
+            raise NodeError(f"there is no {name!r} on the blackboard; `{name} := ...` makes it")
         entry = board.make(name)
         value = self.value(expression)
-        if value is EMPTY:
-            raise ScriptError(f"the value that is assigned to {name!r} is empty")
+        if value is None:
+            raise NodeError(f"the value that is assigned to {name!r} is empty")
         before = entry.value
-        is_untyped = before is EMPTY and entry.declared is None
         if sign not in (":=", "="):
-            if isinstance(before, str) != isinstance(value, str):
-                raise ScriptError(f"{sign!r} does not work with {before!r} and {value!r}")
-            value = fit(_operate(sign[0], before, value), before)
-        elif isinstance(before, str) or not isinstance(value, str) or is_untyped:
-            value = fit(value, before)
-        elif entry.declared is None:
-            value = self._number(value)
-        elif entry.declared is Status:
-            raise ScriptError(f"a script cannot write {value!r} to an entry for an outcome")
-        else:
-            value = converted(value, entry.declared)
-        entry.put(value)
-        return value
+            value = _operate(sign[0], before, value)
+        elif isinstance(value, str) and not isinstance(before, str):
+            if before is not None and entry.declared is None:
+                value = self._number(value)
+            elif entry.declared is Status:
+                raise NodeError(f"a script cannot write {value!r} to an entry for an outcome")
+            value = convert(value, entry.declared)
+            before = None
+        entry.put(_fit(value, before))
+        return entry.value
 
     def choose(self, condition: Any, yes: Any, no: Any) -> Value:  # noqa: ANN401  # a node of the grammar
-        value = self.value(condition)
-        if isinstance(value, str):
-            value = begun(value)
-        return self.value(yes if double(value) else no)
+        return self.value(yes if self._number(self.value(condition)) else no)
 
-    def fold(self, first: Any, *rest: Any) -> Value:  # noqa: ANN401  # a node of the grammar
-        value = self.value(first)
-        for sign, right in zip(rest[::2], rest[1::2], strict=True):
-            value = _operate(sign, value, self.value(right))
-        return value
+    def binary(self, left: Any, sign: str, right: Any) -> Value:  # noqa: ANN401  # nodes of the grammar
+        return _operate(sign, self.value(left), self.value(right))
 
     def compare(self, first: Any, *rest: Any) -> float:  # noqa: ANN401  # a node of the grammar
         left = self.value(first)
@@ -157,51 +157,38 @@ class _Run:
         return 1.0
 
     def prefixed(self, sign: str, operand: Any) -> float:  # noqa: ANN401  # a node of the grammar
-        value = self.value(operand)
-        if sign == "~":  # of the whole part of a number
-            is_finite = is_number(value) and math.isfinite(value)
-            return double(~whole(math.trunc(value) if is_finite else value))
-        return -double(value) if sign == "-" else float(not double(value))
+        number = double(self.value(operand))
+        if sign == "~":
+            return double(~whole(number))
+        return -number if sign == "-" else float(not number)
 
     def _number(self, value: Value) -> float:
         """Return the number that a value means; `true`, `false` and enums are numbers."""
         if isinstance(value, str):
-            named = {**self._board.root.enums, "true": 1.0, "false": 0.0}
-            value = named[value] if value in named else begun(value)
+            value = self._enums[value] if value in self._enums else begun(value)
         return double(value)
 
 
-def _read_number(text: str) -> int | float:
-    if text.isdigit() or text[:2] in ("0x", "0X"):
-        number = int(text, 10 if text.isdigit() else 16)
-        return number if number < 2**63 else 0
-    return float(text)
-
-
 @cache
-def _parser() -> "Lark":
+def _parser() -> Any:  # noqa: ANN401  # lark is imported late
     from lark import Lark
 
     return Lark.open("scripts.lark", rel_to=__file__, parser="lalr", lexer="basic")
 
 
-def parse_script(code: str) -> ParsedScript:
-    """Parse a script.
+def parse_script(code: str, board: Blackboard) -> ParsedScript:
+    """Parse a script that runs on a blackboard.
 
     Raises:
-        ScriptError: the script cannot be read; the message says where.
+        NodeError: the script cannot be read; the message says where.
     """
-    from lark.exceptions import UnexpectedCharacters, UnexpectedToken
+    from lark.exceptions import UnexpectedInput
 
-    if not code.strip(" \t\r\n"):
-        raise ScriptError("the script is empty")
     try:
         statements = _parser().parse(code).children
-    except UnexpectedCharacters as error:
-        place = code[error.pos_in_stream or 0]
-    except UnexpectedToken as error:
-        place = str(error.token) or "the end"
-    else:
-        return lambda board: [_Run(board).value(statement) for statement in statements][-1]
-    problem = f"cannot be read at {place!r}; texts stand in single quotes"
-    raise ScriptError(f"the script {code!r} {problem}")
+    except UnexpectedInput as error:
+        place = code[error.pos_in_stream or 0 :]
+        problem = f"cannot be read from {place!r} on; texts stand in single quotes"
+        raise NodeError(f"the script {code!r} {problem}") from None
+    run = _Run(board)
+    return lambda: [None, *map(run.value, statements)][-1]

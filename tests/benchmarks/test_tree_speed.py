@@ -92,14 +92,14 @@ def test_tree_that_asks_ticks_nearly_as_fast_as_one_of_constants(situation):
 
 
 @pytest.mark.parametrize("situation", [searching, inspecting, recharging])
-def test_traced_tree_ticks_at_most_twice_as_long(situation, tmp_path):
+def test_traced_tree_ticks_at_most_three_times_as_long(situation, tmp_path):
     kb, percepts = situation()
     runner = TreeRunner(suave_extended_tree(kb, percepts), clock=lambda: 0.0)
     runner.tick()
     plain = BehaviourTree(constant(runner.tree.root))
     with TraceVisitor(kb, tmp_path / "run.jsonl") as visitor:
         runner.tree.add_visitor(visitor)
-        report(f"traced while {situation.__name__}", ratio(runner.tick, plain.tick), 2.0)
+        report(f"traced while {situation.__name__}", ratio(runner.tick, plain.tick), 3.0)
 
 
 def big(conditions: int, condition: Callable[[int], Behaviour]) -> Behaviour:

@@ -32,7 +32,8 @@ def every_choice(state):
     for ranks in product(*(range(len(ranked(state, node))) for node in free)):
         designs = [ranked(state, node)[rank] for node, rank in zip(free, ranks, strict=True)]
         needed = [part for design in (*designs, *kept) for part in design.requires]
-        given_up = state.decide(designs).deactivate
+        _, plan = state.decide(designs)
+        given_up = plan.deactivate if plan else ()
         running = [part for part in served if part in state.asserted_required & state.active]
         needed += [part for part in running if part.name not in given_up]
         components = [
@@ -50,11 +51,11 @@ def outcome(state, designs, configurations, weights, cost=0.0):
 
     The cost of switching is one for all.
     """
-    after = state.copy()
-    selection = after.decide([*designs, *configurations])
-    after.select(selection.flips)
+    flips, plan = state.decide([*designs, *configurations])
+    after = state.after(flips)
     network = state.network
-    for names, active in ((selection.activate, True), (selection.deactivate, False)):
+    steps = ((plan.activate, True), (plan.deactivate, False)) if plan else ()
+    for names, active in steps:
         for name in names:
             node = network.components[name]
             (after.active.add if active else after.active.discard)(node)
@@ -72,9 +73,11 @@ def outcome(state, designs, configurations, weights, cost=0.0):
         levels = [exact(weight) * exact(one.value) for one in mine if one.kind == "absolute"]
         worth += min(levels, default=Fraction(0))
         worth += exact(weight) * sum(exact(one.adds) for one in mine if one.kind != "absolute")
-    switched = [*selection.activate, *selection.deactivate]
+    if plan is None:
+        return worth
+    switched = [*plan.activate, *plan.deactivate]
     commanded = [name for name in switched if network.components[name].element.kind != "plain"]
-    return worth - exact(cost) * (len(commanded) + len(selection.parameters))
+    return worth - exact(cost) * (len(commanded) + len(plan.parameters))
 
 
 def best_by_trying(state, weights, cost=0.0):

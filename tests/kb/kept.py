@@ -13,7 +13,6 @@ from kb import KnowledgeBase, Model, PriorityPlanner
 from kb.store import connect, events_in
 
 KEPT = 50
-LOST = "its result is not known"
 
 
 def stored(path):
@@ -59,17 +58,13 @@ def answers(kb, *, ended=False):
         "plans": [plan(one, ended) for one in kb.plans],
         "requests": [request(action) for action in kb.history.actions],
         "open": [action.action for action in kb.required_actions],
-        "attempts": [attempt(one, ended) for one in kb.history.attempts],
+        "attempts": [attempt(one) for one in kb.history.attempts],
         "answers": [
             (kb.plans.index(answer.plan), answer.time, answer.is_vetoed, answer.reason)
             for answer in kb.history.answers
         ],
         "reasons": [
             design.reason for design in (*kb.designs.values(), *kb.configurations.values())
-        ],
-        "processes": [
-            (process.component, process.pid, process.start, process.end)
-            for process in kb.history.processes
         ],
         "adaptable": (kb.adaptable_functions(), kb.adaptable_components(), kb.obsolete()),
     }
@@ -80,8 +75,8 @@ def plan(one, ended):
     return (one.activate, one.deactivate, one.parameters, one.reason, one.start, result)
 
 
-def attempt(one, ended):
-    told = (
+def attempt(one):
+    return (
         str(one.plan),
         one.component,
         one.operation,
@@ -89,10 +84,8 @@ def attempt(one, ended):
         dict(one.parameters),
         one.number,
         one.start,
-    )
-    return (
-        *told,
-        *(("abandoned", LOST) if ended and one.end is None else (one.result, one.reason)),
+        one.result,
+        one.reason,
     )
 
 
@@ -170,14 +163,6 @@ class Life:
                 command = kb.plans[-1], "camera", "configure", "day", given
                 yield kb.record_attempt, *command
                 yield kb.finish_attempt, kb.history.attempts[-1], "completed"
-            yield (
-                (kb.component_started, "lidar", chance.randrange(1000))
-                if chance.random() < 0.5
-                else (
-                    kb.component_ended,
-                    "lidar",
-                )
-            )
         elif what == 11:
             lidar = kb.components["lidar"]
             status = chance.choice(("failure", "solved", None))

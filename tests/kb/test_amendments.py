@@ -22,7 +22,7 @@ from models import (
     mostly_some,
 )
 
-from kb import Event, KnowledgeBase, Model, ModelError, UnknownName
+from kb import Event, KnowledgeBase, Model, ModelError
 
 SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
 
@@ -76,45 +76,14 @@ def change(chance, model):
     return lambda: model.change(element, **{field: chance.choice(values)})
 
 
-def removal(chance, model):
-    tables = (model.actions, model.designs, model.configurations, model.components, model.functions)
-    elements = [*(one for table in tables for one in table.values()), *model.constraints]
-    elements += list(model.attributes.values())[1:]  # events need one that can be measured
-    one = chance.choice(elements) if elements else None
-    return lambda: one and model.remove(one)
-
-
-def forget(twins):
-    """Have the naive twin forget the facts about what is no longer in the model."""
-    naive = twins.naive
-    model = twins.model
-    for facts, table in (
-        (naive.failed, model.components),
-        (naive.active, model.components),
-        (naive.designs, model.designs),
-        (naive.configurations, model.configurations),
-        (naive.open_actions, model.actions),
-    ):
-        facts.intersection_update(table)
-    tables = {"action": model.actions, "function": model.functions, "component": model.components}
-    tables |= {"design": model.designs, "configuration": model.configurations}
-    naive.asserted_required = {
-        (kind, name) for kind, name in naive.asserted_required if name in tables[kind]
-    }
-    naive.asserted = {
-        (kind, name): one for (kind, name), one in naive.asserted.items() if name in tables[kind]
-    }
-
-
 def amend(twins, data):
     chance = data.draw(RANDOMS)
-    kind = chance.choice((growth, growth, change, removal))
+    kind = chance.choice((growth, change))
     amendment = kind(chance, twins.model)
     try:
         amendment()
     except ModelError:
         assert kind is not change
-    forget(twins)
 
 
 @settings(suppress_health_check=SLOW)
@@ -127,10 +96,7 @@ def test_amended_base_answers_as_its_twin_and_its_replay(model, data):
         if data.draw(st.booleans()):
             amend(twins, data)
         else:
-            # constraints are numbered, and an assertion about one would be about another after a
-            # removal
-            is_safe = events(model).filter(lambda event: "constraint" not in str(event[1:2]))
-            twins.happen(data.draw(is_safe))
+            twins.happen(data.draw(events(model)))
         twins.agree()
     for event in twins.kb.log:
         clock.now = event.time
@@ -151,41 +117,6 @@ def test_interrupted_amendment_is_in_or_out(kb, place):
     assert {name: view.status for name, view in kb.actions.items()} == dict.fromkeys(
         kb.model.actions, "unfeasible"
     )
-
-
-def test_an_action_removed_while_it_is_required_is_abandoned(kb):
-    kb.request_action("explore")
-    kb.model.remove(kb.model.actions["explore"])
-    assert "explore" not in kb.actions
-    assert kb.required_actions == ()
-    (past,) = kb.history.actions
-    assert (past.result, past.reason) == ("abandoned", "it is no longer in the model")
-    with pytest.raises(UnknownName):
-        kb.is_feasible("explore")
-
-
-def test_what_something_else_is_made_of_cannot_be_removed(kb):
-    model = kb.model
-    for element, user in (
-        (model.components["camera"], "function design 'by camera'"),
-        (model.functions["see"], "action 'explore'"),
-        (model.attributes["light"], "constraint 'light >= 0.5'"),
-    ):
-        with pytest.raises(ModelError, match=user):
-            model.remove(element)
-    assert "camera" in kb.components
-
-
-def test_shared_constraint_stays_for_the_others(kb):
-    model = kb.model
-    rest = model.action("rest")
-    shared = model.constrain([rest, model.actions["explore"]], model.attributes["light"] >= 0.4)
-    kb.measure("light", 0.3)
-    model.remove(rest)
-    assert [one.name for one in shared.constrained] == ["explore"]
-    assert not kb.is_feasible("explore")
-    model.remove(shared)
-    assert kb.is_feasible("explore")
 
 
 @pytest.mark.parametrize(
@@ -216,21 +147,3 @@ def test_a_model_holds_no_knowledge_base_alive():
     gc.collect()
     assert gone() is None
     model.action("rest")
-
-
-def test_component_declared_again_starts_without_facts(kb):
-    model = kb.model
-    lamp = model.component("lamp")
-    kb.request_action("explore")
-    plan = kb.select({"see": "by camera"})
-    kb.finish_attempt(kb.record_attempt(plan, "lamp", "configure", None, {"power": 3}), "completed")
-    model.remove(lamp)
-    model.component("lamp")
-    assert dict(kb.components["lamp"].parameters_in_force) == {}
-
-
-def test_a_view_of_what_is_removed_cannot_be_asserted(kb):
-    view = kb.actions["explore"]
-    kb.model.remove(kb.model.actions["explore"])
-    with pytest.raises(UnknownName, match="explore"):
-        kb.assert_status(view, "unfeasible")

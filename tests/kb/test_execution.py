@@ -126,20 +126,6 @@ def test_operation_past_its_time_out_is_cancelled():
     assert cancelled[0] == 104.0
 
 
-def test_command_to_what_left_the_model_is_abandoned():
-    life = Life({"activate camera": [math.inf]})
-    life.explore(1)
-    life.kb.cancel_action("explore")
-    model = life.kb.model
-    for element in (model.designs["by camera"], *model.configurations.values(), "camera"):
-        model.remove(element)
-    life.turn()
-    last = life.kb.history.attempts[-1]
-    assert (last.component, last.result) == ("camera", "abandoned")
-    assert last.reason == "it was interrupted before its answer was known"
-    assert life.kb.plans[0].end is not None
-
-
 # -------------------------------------------------------------------- systems that lie
 
 

@@ -15,8 +15,6 @@ from kb import (
 from kb.elements import (
     ActiveFact,
     MeasurementFact,
-    PlanFact,
-    ProcessFact,
     RequiredActionFact,
     RequiredFact,
     SelectedFact,
@@ -64,20 +62,14 @@ def test_a_configured_robot_at_work_may_be_stated(model):
         SelectedFact(model.designs["by camera"]),
         SelectedFact(model.configurations["day"]),
         ActiveFact("camera"),
-        ProcessFact("camera", 4711, 80.0),
     )
     assert kb.actions["explore"].status is Status.SOLVED
     (required,) = kb.required_actions
-    assert (required.action, required.preference, required.start) == ("explore", "energy", 100.0)
-    (process,) = kb.history.processes
-    assert (process.component, process.pid, process.start, process.end) == (
-        "camera",
-        4711,
-        80.0,
-        None,
+    assert (required.action, required.preference, required.start) == (
+        "explore",
+        {"energy": 1.0},
+        100.0,
     )
-    kb.component_ended("camera", 4711)
-    assert kb.history.processes[0].end == 100.0
     kb.cancel_action("explore", "completed")
     assert kb.obsolete() == (("camera",), ("by camera",), ("day",))
 
@@ -101,21 +93,12 @@ def test_stated_records_that_ended_are_not_open(model):
         model,
         RequiredActionFact("explore", None, 10.0, 20.0, "completed"),
         RequiredActionFact("explore", {"energy": 2.0, "light": 1.0}, 30.0),
-        PlanFact(
-            activate=("camera",), parameters=("day",), start=10.0, end=11.0, result="completed"
-        ),
-        PlanFact(deactivate=("camera",), start=20.0),
     )
     past, present = kb.history.actions
     assert (past.start, past.end, past.result) == (10.0, 20.0, "completed")
     assert dict(present.preference) == {"energy": 2.0, "light": 1.0}
     assert kb.required_actions == (present,)
     assert kb.actions["explore"].is_required
-    done, pending = kb.plans
-    assert (done.activate, done.parameters, done.result) == (("camera",), ("day",), "completed")
-    assert kb.pending_plan is pending
-    assert pending.deactivate == ("camera",)
-    assert kb.finish_plan(pending, "abandoned")
 
 
 @pytest.mark.parametrize(
@@ -124,24 +107,16 @@ def test_stated_records_that_ended_are_not_open(model):
         lambda model: SelectedFact(model.actions["explore"]),
         lambda model: RequiredFact(model.designs["by camera"]),
         lambda model: StatusFact(model.actions["explore"], "odd"),
-        lambda model: ProcessFact("camera", -4),
         lambda model: RequiredActionFact("explore", {"light": float("nan")}),
         lambda model: RequiredActionFact("explore", ["light"]),
         lambda model: RequiredActionFact("explore", result="done"),
         lambda model: MeasurementFact("light", 1.0, latest="yes"),
-        lambda model: PlanFact(activate="camera"),
     ],
 )
 def test_facts_that_make_no_sense_are_refused(model, state):
     with pytest.raises(KnowledgeBaseError):
         model.add_fact(state(model))
     assert model.facts == ()
-
-
-def test_facts_about_what_is_removed_go_with_it(model):
-    begun(model, SelectedFact(model.configurations["day"]), RequiredActionFact("explore"))
-    model.remove(model.configurations["day"])
-    assert model.facts == (RequiredActionFact("explore"),)
 
 
 def test_facts_keep_their_order_while_a_clock_is_a_little_behind(model):

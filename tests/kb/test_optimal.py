@@ -264,7 +264,7 @@ def test_facts_and_model_may_change_during_the_search(model, monkeypatch):
             measuring.start()
             measuring.join(60.0)
             blocked.append(measuring.is_alive())
-            model.remove("coarse")
+            model.change("coarse", priority=9)
             return super().solve(effort)
 
     monkeypatch.setattr("kb.optimal.Problem", Slow)

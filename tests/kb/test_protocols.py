@@ -30,16 +30,6 @@ class TooFew(Does):
         return None
 
 
-class Slow(Does):
-    async def activate(self, component):
-        return None
-
-
-class Puzzling(Does):
-    async def is_active(self, component):
-        return True
-
-
 def manager_of(**given):
     kb, clock = base(rover())
     return kb, ConfigurationManager(kb, **{"managed": Scripted(clock), **given})
@@ -53,10 +43,7 @@ def of(name, method):
     ("given", "said"),
     [
         ({"managed": object()}, r"a managed system has a method activate\(component\)"),
-        ({"managed": Does}, r"Does is a class: write Does\("),
-        ({"managed": TooFew()}, r"is called as activate\(component\); TooFew.activate: too many"),
-        ({"managed": Slow()}, r"activate\(component\) of Slow is async"),
-        ({"managed": Puzzling()}, r"is_active\(component\) of Puzzling is async"),
+        ({"managed": TooFew()}, r"is called as activate\(component\); .*TooFew object.*: too many"),
         ({"planner": "by priority"}, r"a planner has a method plan\(kb\); 'by priority' has none"),
         ({"planner": of("plan", lambda self: None)}, r"a planner is called as plan\(kb\)"),
         ({"executor": of("run", lambda self, kb: None)}, r"an executor has a method execute\(kb\)"),
@@ -66,10 +53,6 @@ def test_what_cannot_be_called_is_refused_where_it_is_handed_in(given, said):
     with pytest.raises(ProtocolError, match=said) as refused:
         manager_of(**given)
     assert isinstance(refused.value, TypeError | KnowledgeBaseError)
-
-
-async def later():
-    return None
 
 
 class Answers(Scripted):
@@ -87,7 +70,6 @@ class Answers(Scripted):
     ("answer", "said"),
     [
         (True, r"activate\('camera'\) of Answers returned True; it is to return None"),
-        (later, r"activate\('camera'\) of Answers returned <coroutine"),
     ],
 )
 def test_wrong_answer_raises_and_fails_no_component(answer, said):
@@ -128,7 +110,6 @@ def test_wrong_answer_raises_and_fails_no_component(answer, said):
             ProtocolError,
             "returned Choice.* what kb.select returned",
         ),
-        (lambda kb: later(), ProtocolError, "returned <coroutine"),
     ],
 )
 def test_wrong_choice_raises_and_selects_nothing(plan, error, said):

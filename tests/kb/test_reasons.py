@@ -115,10 +115,6 @@ def test_a_status_lapses_also_while_nobody_is_there(lives, reopened):
     assert (kb.configurations["night"].status is Status.UNFEASIBLE) == (reopened < 312.0)
     lives.clock.now = 500.0
     assert kb.configurations["night"].status is Status.FEASIBLE
-    asserted = "?s a :AssertedStatus ; :reason ?why ; :until ?until ; :start ?start ; :end ?end"
-    assert kb.query(f"SELECT ?why ?until ?start ?end {{ {asserted} }}") == [
-        ("it failed", 312.0, 300.0, 312.0)
-    ]
 
 
 # failures
@@ -168,30 +164,6 @@ def test_reason_of_a_choice_is_kept_with_choice_and_plan(lives):
     assert kb.configurations["day"].reason == ""
 
 
-def test_a_plan_says_which_request_has_ended_and_why():
-    kb = KnowledgeBase(rover())
-    kb.request_action("explore")
-    carry_out(kb, PriorityPlanner().plan(kb))
-    kb.model.remove("explore")
-    assert PriorityPlanner().plan(kb).reason == (
-        "explore is abandoned: it is no longer in the model; "
-        "what was active or selected is no longer needed"
-    )
-
-
-def test_a_plan_names_the_newest_four_requests_that_ended():
-    kb = KnowledgeBase(rover())
-    kb.request_action("explore")
-    carry_out(kb, PriorityPlanner().plan(kb))
-    for number in range(9):
-        kb.request_action("explore")
-        kb.cancel_action("explore", "failed", f"attempt {number}")
-    assert PriorityPlanner().plan(kb).reason == (
-        "explore is failed: attempt 5; explore is failed: attempt 6; "
-        "explore is failed: attempt 7; 2 more"
-    )
-
-
 # attempts and answers
 
 
@@ -232,19 +204,6 @@ def attempt(one):
 
 def answer(one):
     return one.plan.reason, one.time, one.is_vetoed, one.reason
-
-
-def test_attempt_under_way_is_abandoned_at_reopening(tmp_path):
-    lives = Lives(tmp_path / "mission.sqlite3")
-    lives.kb.request_action("explore")
-    lives.kb.record_attempt(
-        lives.kb.select({"see": "by camera"}, {"camera": "night"}), "camera", "activate"
-    )
-    lives.kb.flush()
-    lives.clock.now = 350.0
-    (one,) = lives.again().history.attempts
-    assert (one.end, one.result, one.plan.result) == (350.0, "abandoned", "abandoned")
-    lives.kb.close()
 
 
 # the end

@@ -117,7 +117,6 @@ def test_situation_is_of_the_model_as_it_was():
     model.action("look", constraints=[light >= 0.5])
     situation = KnowledgeBase(model, clock=Clock()).situation(light=0.3)
     model.action("film", constraints=[light >= 0.2])
-    model.remove("look")
     assert situation.selectable_actions() == ()
     assert not situation.is_feasible("look")
 

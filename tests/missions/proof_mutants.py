@@ -160,11 +160,13 @@ class Half:
         return None
 
 
-FULL = {
-    "start": {"energy": 0.625, "light": 1.5},
-    "exclusive": [("explore", "charge")],
-    "failing": ("camera", "radar", "wheels"),
-}
+FULL = {"start": {"energy": 0.625, "light": 1.5}}
+
+
+BOTH = never(
+    "explore and charge exclude each other",
+    lambda rig: rig.is_required("explore") and rig.is_required("charge"),
+)
 
 
 @dataclass
@@ -183,7 +185,7 @@ class Case:
 
     @property
     def arguments(self):
-        return {**FULL, "wanted": self.wanted, **self.options}
+        return {**FULL, "wanted": (BOTH, *self.wanted), **self.options}
 
 
 def explore(kb, **options):
@@ -481,7 +483,7 @@ CORRECT = [
         "steps that need what has failed since",
         lambda kb: in_turn(Act("drive", kb, "drive"), Act("look", kb, "look"), memory=True),
         model=fetching_model,
-        options={"start": {}, "failing": (), "exclusive": ()},
+        options={"start": {}},
     ),
     Case("more light", either, **rover(dark=2.0)),
     Case(

@@ -74,7 +74,7 @@ def test_measurement_is_as_old_as_its_stamp(robot):
     until(lambda: energy.value == 0.5)
     for late in (97.0, 90.0):
         robot.measure(0.1, stamp=late)
-    until(lambda: robot.bridge.refused.total() == 2)
+    until(lambda: robot.node.refused.total() == 2)
     robot.now = 102.9
     robot.manager.update()
     assert energy.value == 0.5

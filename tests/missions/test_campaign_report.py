@@ -170,8 +170,8 @@ def test_interval_holds_the_true_mean_as_often_as_it_says():
         hits += found.low <= 1.0 <= found.high
         assert (found.p < 0.05) is not (found.low <= 0.0 <= found.high)
     assert 180 <= hits <= 198
-    assert mean_of([0.0, 0.0]) == (0.0, 0.0, 0.0, 1.0)
-    assert mean_of([2.0, 2.0]) == (2.0, 2.0, 2.0, 0.0)
+    assert mean_of([0.0, 0.0]) == (0.0, 0.0, 0.0, 1.0, 2)
+    assert mean_of([2.0, 2.0]) == (2.0, 2.0, 2.0, 0.0, 2)
 
 
 def test_holm_corrects_as_in_a_worked_example():

@@ -6,7 +6,8 @@ from running import called
 from kb import KnowledgeBase, Model
 from missions.baselines import open_run
 from missions.engine.mission import MissionError, find_mission
-from missions.experiments.learning import Spread, learn
+from missions.experiments.comparison import mean_of
+from missions.experiments.learning import Learned, learn
 
 
 def logs(mission, count, **settings):
@@ -28,7 +29,7 @@ def test_learn_finds_the_true_rate_and_names_the_stated_one():
     model.attributes["battery_level"].changes(-0.01)
     learned = learn(logs("suave_extended", 4, discharge_time_s=170), model)
     rate = about(learned, "rate", "battery_level, always")
-    assert rate.found.holds(-1 / 170)
+    assert rate.found.mean == pytest.approx(-1 / 170)
     assert rate.found.observations == 4
     assert str(rate).endswith("; stated is -0.01")
     assert not [each for each in learned if each.about.startswith("water_visibility")]  # a wave
@@ -56,36 +57,32 @@ def test_learn_leaves_out_what_is_held_at_a_bound():
         runs[f"from {full}"] = list(kb.log)
     learned = learn(runs, model)
     battery_rate = about(learned, "rate", "battery while sweep")
-    assert battery_rate.found.value == pytest.approx(-0.4)
+    assert battery_rate.found.mean == pytest.approx(-0.4)
     assert "; as stated -0.4" in str(battery_rate)
-    assert about(learned, "rate", "waste_load while sweep").found.value == pytest.approx(0.25)
-    assert about(learned, "duration", "sweep").found.value == 99.0
+    assert about(learned, "rate", "waste_load while sweep").found.mean == pytest.approx(0.25)
+    assert about(learned, "duration", "sweep").found.mean == 99.0
     with pytest.raises(MissionError, match="no action of drone"):
         learn(runs, Model("drone"))
 
 
-def test_spread_of_one_observation_has_no_interval():
-    assert "no interval" in str(Spread.of([1.0]))
+def test_one_observation_has_no_interval():
+    assert "no interval" in str(Learned("duration", "dig [s]", mean_of([1.0])))
 
 
-def test_learn_command_reads_recordings_and_campaigns(tmp_path, capsys, monkeypatch):
+def test_learn_command_reads_recordings(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "two.toml").write_text(
-        'missions = ["suave_extended"]\nmanagers = ["ours", "bt"]\nruns = 1\nfirst_seed = 7\n'
-        "settings = { duration_s = 130 }\n"
-    )
-    campaign = ("campaign", "two.toml", "--workers", "1", "--out", "two")
-    assert called(capsys, monkeypatch, *campaign)[0] == 0
     run = ("run", "suave_extended", "--no-progress", "--set", "duration_s=130")
-    assert called(capsys, monkeypatch, *run, "--record", "run.mcap")[0] == 0
+    for seed in ("7", "8"):
+        record = ("--record", f"{seed}.mcap", "--seed", seed)
+        assert called(capsys, monkeypatch, *run, *record)[0] == 0
     code, out, _ = called(
-        capsys, monkeypatch, "learn", "run.mcap", "two", "--model", "suave_extended"
+        capsys, monkeypatch, "learn", "7.mcap", "8.mcap", "--model", "suave_extended"
     )
     assert code == 0
     assert "rate: battery_level, always [1/s]: -0.005 (-0.005 to -0.005, 2 observations)" in out
     for wrong, words in (
         (("learn", "nothing.mcap", "--model", "suave_extended"), "nothing.mcap"),
-        (("learn", "run.mcap", "--model", "uav"), "no action of uav"),
+        (("learn", "7.mcap", "--model", "uav"), "no action of uav"),
     ):
         code, _, err = called(capsys, monkeypatch, *wrong)
         assert code != 0

@@ -141,7 +141,6 @@ def test_other_managers_run_a_new_mission(new):
     outcome, explored_m, adaptations = ended(mission, "fixed")
     assert (outcome, adaptations > 0) == ("aborted", True)
     assert explored_m < 25
-    assert ended(mission, "fixed", use="night")[0] == "explored_all"
     often = open_run(mission, manager="random", settings={"period": "2"})
     often.run()
     chosen = [plan.parameters for plan in often.kb.plans if plan.parameters]
@@ -190,14 +189,6 @@ def test_manager_that_does_not_go_with_a_mission_is_refused(mission, manager, me
     with pytest.raises(MissionError) as refusal:
         open_run(find_mission(mission), manager=manager)
     assert message in str(refusal.value)
-
-
-def test_configurations_to_use_are_those_of_the_model(new):
-    with pytest.raises(MissionError) as refusal:
-        open_run(find_mission(f"{new()}:MISSION"), manager="fixed", settings={"use": "nite"})
-    assert "setting use names 'nite'; the model has by_camera, by_wheels, day, night" in str(
-        refusal.value
-    )
 
 
 def test_units_are_those_of_attributes_and_of_endings(new):

@@ -81,7 +81,7 @@ def test_hearer_that_fails_does_not_end_the_node(pair):
     _, other = pair
     other.subscribe("/echo/String", STRING, lambda message: message["nothing"])
     assert echo(pair, STRING, {"data": "on"}) == {"data": "on"}
-    assert other.refused["KeyError: 'nothing'"]
+    assert other.refused["/echo/String: KeyError: 'nothing'"]
 
 
 def test_call_whose_server_raises_is_answered_as_refused(pair):

@@ -177,7 +177,7 @@ def test_wrong_use_is_refused():
 ALONE = {  # no second failure, and time enough
     "suave": {"thruster_events": ""},
     "suave_extended": {"thruster_events": ""},
-    "uav": {"gripper_worn": "0", "duration": "900"},
+    "uav": {"gripper_worn": "0", "samples": "2", "lanes": "3", "added_s": "0", "duration": "120"},
 }
 
 
@@ -237,7 +237,16 @@ def test_verify_command_prints_findings_and_table(tmp_path):
     assert result.exit_code == 0, result.output
     assert "spiral_search fails                 the goal if it happens later" in result.output
     assert all(finding["holds"] for finding in json.loads(target.read_text())["findings"])
-    assert "the goal if it happens later; does inspect_pipeline" in page.read_text()
+    assert "search_pipeline" in page.read_text()
+
+
+def test_tree_that_plans_by_itself_is_finished():
+    proof = prove(setup_of(find_mission("agv"), seconds=inf))
+    assert proof.explored.is_finished
+    assert not proof.broken, proof
+    reaches = {each.fact: each.reaches for each in proof.consequences}
+    assert reaches["amcl fails"] == "the goal"
+    assert reaches["base fails"] == "the goal if it happens later"
 
 
 def test_verify_command_exits_by_what_was_found(tmp_path, monkeypatch):

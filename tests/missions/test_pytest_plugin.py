@@ -47,7 +47,6 @@ GOLDEN = """
                 runner.tick()
             runner.shutdown()
             golden_trace(visitor.trace)
-            golden_trace(visitor.trace, name="again")
 """
 PATH = "golden/test_rover.test_it_goes.trace"
 
@@ -74,7 +73,7 @@ def test_failed_assertion_shows_the_timeline_and_not_the_library(run, pytester):
     result.stdout.fnmatch_lines(
         [
             "E*AssertionError: expected between 150.00 s and 150.01 s: any -> recharge",
-            "E*what happened around 150.00 s:",
+            "E*what happened:",
             "E*150.00 s  EXPECTED  any -> recharge",
             "E*150.00 s  action    recharge is requested",
         ]
@@ -87,43 +86,22 @@ def test_golden_trace_is_written_on_request_and_compared(run, pytester):
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(
         [
-            f"E*AssertionError: there is no golden trace *{PATH.replace('/', '?')}",
+            f"E*AssertionError: not as in *{PATH.replace('/', '?')}",
             'E*write it: pytest --update-traces "test_rover.py::test_it_goes"',
-            "E*decided  explore is requested",
+            "E*+  decided  explore is requested",
         ]
     )
     assert not (pytester.path / PATH).exists()
-    result = run(GOLDEN.format("SUCCESS"), "--update-traces")
-    result.stdout.fnmatch_lines(["*golden traces written*", "*test_rover.test_it_goes.trace"])
+    run(GOLDEN.format("SUCCESS"), "--update-traces").assert_outcomes(passed=1)
     run(GOLDEN.format("SUCCESS")).assert_outcomes(passed=1)
     result = run(GOLDEN.format("FAILURE"))
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(
         [
-            "E*AssertionError: not as in the golden trace *test_rover.test_it_goes.trace",
             "E*-  ticked   wheels: SUCCESS",
             "E*+  ticked   wheels: FAILURE",
         ]
     )
-    (pytester.path / PATH).write_text("{\n")
-    result = run(GOLDEN.format("SUCCESS"))
-    result.stdout.fnmatch_lines(["E*TraceError: *test_rover.test_it_goes.trace*"])
-
-
-@pytest.mark.parametrize(
-    ("lines", "words"),
-    [
-        ("golden_trace('text')", "E*TypeError: a golden trace is a rosa_bt.Trace, such as*"),
-        (
-            "golden_trace(trace); golden_trace(trace)",
-            "E*has compared with *; golden_trace(trace, n*",
-        ),
-    ],
-)
-def test_golden_trace_that_is_misused_says_how_to_use_it(run, lines, words):
-    source = "def test_text(golden_trace):\n    from rosa_bt import Trace\n"
-    source += f"    trace = Trace('rover', ())\n    {lines}\n"
-    run(source, "--update-traces").stdout.fnmatch_lines([words])
 
 
 def test_fixture_of_a_user_goes_first(pytester):

@@ -190,7 +190,7 @@ def test_settings_are_split_by_owner_and_replace_those_fixed():
     assert split_settings(mission, {})[0].duration_s == 7.0
     run, world, options = split_settings(mission, {"duration_s": "9", "visibility_min": "1"})
     assert run.duration_s == 9.0
-    assert world == {"battery": "false", "visibility_min_m": "1"}
+    assert world == {"battery": False, "visibility_min_m": 1.0}
     assert options == {}
 
 

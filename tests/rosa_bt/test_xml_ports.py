@@ -14,7 +14,6 @@ from xml_leaves import registry_of, trace, wrapped
 
 from kb import KnowledgeBase, Model
 from rosa_bt import BehaviourRegistry, RegistryError, TreeRunner, XmlError, load_xml
-from rosa_bt.xml.blackboard import PortError
 
 
 class Add(PortsMixin, Behaviour, register=False):
@@ -88,8 +87,6 @@ def test_key_is_read_when_the_leaf_asks():
         tree.blackboard["now"] = value
         tree.tick_once()
     assert [what for what, _, _ in heard] == [1, 2]
-    with pytest.raises(PortError, match="an entry cannot take 'two': 'two' is no int"):
-        tree.blackboard["now"] = "two"
 
 
 def test_subtrees_and_trees_share_no_entries():
@@ -116,7 +113,7 @@ def test_model_of_a_tree_gives_defaults_and_says_what_is_needed():
 def test_function_makes_leaves_and_takes_the_blackboard():
     registry = BehaviourRegistry()
 
-    @registry.register
+    @registry.register("count")
     def count(name, blackboard, start: int, by: int = 1):
         blackboard["count"] = start + by
         return Running(name)
@@ -197,18 +194,11 @@ def test_only_condition_is_asked_again(factory, kind, element, model, is_conditi
     assert len(asked) == (3 if is_condition else 1)
 
 
-@pytest.mark.parametrize(
-    ("name", "factory", "kind", "message"),
-    [
-        ("Sequence", Finished, None, "'Sequence' is a node of BehaviorTree.CPP itself"),
-        ("taken", Finished, None, "'taken' is registered already"),
-    ],
-)
-def test_registration_that_means_nothing_is_refused(name, factory, kind, message):
+def test_name_that_is_registered_twice_is_refused():
     registry = BehaviourRegistry()
     registry.register("taken", Finished)
-    with pytest.raises(RegistryError, match=message):
-        registry.register(name, factory, kind=kind)
+    with pytest.raises(RegistryError, match="'taken' is registered already"):
+        registry.register("taken", Finished)
 
 
 def rover():
@@ -274,22 +264,19 @@ def test_leaves_of_ours_can_be_written():
 @pytest.mark.parametrize(
     ("element", "message"),
     [
-        ("<Add/>", "the port 'one' is missing; write one=..."),
-        ('<Add one="x"/>', "the port 'one' takes a value of type float, not 'x'"),
-        ('<Add one="1" twoo="1"/>', "it has no port 'twoo'; ports: one, other, total"),
-        ('<Say what="1" loud="maybe"/>', "the port 'loud' takes a value of type bool, not 'maybe'"),
-        ('<water plants="4"/>', "'action' is needed when the tree is made; write action=..."),
-        ('<water action="{a}"/>', "'action' is needed when the tree is made"),
+        ("<Add/>", "it needs a value for 'one'; write one=..."),
+        ('<Add one="x"/>', "the port 'one': 'x' is no float"),
+        ('<Add one="1" twoo="1"/>', "it has no port 'twoo'; known: 'one', 'other', 'total'"),
+        ('<Say what="1" loud="maybe"/>', "the port 'loud': 'maybe' is no bool"),
+        ('<water plants="4"/>', "it needs a value for 'action'; write action=..."),
+        ('<water action="{a}"/>', "it needs a value for 'action'"),
         ('<water action="scann"/>', "did you mean 'scan'"),
         ('<water action="scan" plant="4"/>', "no port 'plant'; did you mean 'plants'?"),
         ('<water action="scan" plants="-1"/>', "cannot be made: OSError: no can"),
-        ("<IsActionFeasible/>", "'action' is missing; write action=..."),
-        ('<HasStatus element="scan" status="tired"/>', "never 'tired'"),
+        ("<IsActionFeasible/>", "Input port 'action' (mapped to 'action') has no data"),
+        ('<HasStatus element="scan" status="tired"/>', "is never tired"),
         ('<Measurement attribute="light" operator="=>" value="1"/>', "'=>' is not an operator"),
-        (
-            '<Measurement attribute="light" value="1"/>',
-            "'operator' is needed when the tree is made",
-        ),
+        ('<Measurement attribute="light" value="1"/>', "it needs a value for 'operator'"),
         ('<fixed action="drive"/>', "leave action=... out"),
     ],
 )

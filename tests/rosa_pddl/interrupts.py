@@ -41,7 +41,7 @@ def nested(step, world):
 
 
 def world_of(domain, planner, **settings):
-    world = World(domain, planner, task=nested, delay_s=None, **settings)
+    world = World(domain, planner, task=nested, delay_s=0.0, **settings)
     world.owned = set()
     return world
 

@@ -18,7 +18,7 @@ from rosa_pddl import (
     load_domain,
     parse_domain,
 )
-from rosa_pddl.belief import assumptions, without_hopeless
+from rosa_pddl.belief import ExpectedEffects
 
 NODES = 24
 GRID = """(define (domain grid) (:requirements :adl :typing :derived-predicates)
@@ -149,8 +149,9 @@ def planned(kb):
     domain = parse_domain(CURE, FIELD)
     state = initial_state(domain)
     state |= {atom for atom, action in domain.feasibility.items() if kb.is_feasible(action)}
-    result = Planner().plan(Problem(without_hopeless(domain, kb), state))
-    return result, assumptions(domain, kb, result.steps, state)
+    effects = ExpectedEffects(domain, kb)
+    result = Planner().plan(Problem(effects.domain, state))
+    return result, effects.assumptions(result.steps, state)
 
 
 def test_promise_holds_for_what_the_action_restores():

@@ -49,11 +49,16 @@ def test_a_behaviour_for_an_action_that_the_domain_does_not_have_is_named_at_con
         make(extended, FakeKb(extended.rosa_actions), given)
 
 
-def test_what_is_no_maker_of_behaviours_is_named_at_construction(extended):
-    given = {**dict.fromkeys(extended.schemas, Task), "recharge": Success("always the same")}
-    with pytest.raises(
-        MissingBehaviourError, match=r"'recharge' from .*expected what makes one for each step"
-    ):
+@pytest.mark.parametrize(
+    ("maker", "words"),
+    [
+        (Success("always the same"), r"'recharge' from .*expected what makes one for each step"),
+        (lambda: None, r"'recharge' takes \(\), expected one argument: the step"),
+    ],
+)
+def test_what_is_no_maker_of_behaviours_is_named_at_construction(extended, maker, words):
+    given = {**dict.fromkeys(extended.schemas, Success), "recharge": maker}
+    with pytest.raises(MissingBehaviourError, match=words):
         make(extended, FakeKb(extended.rosa_actions), given)
 
 

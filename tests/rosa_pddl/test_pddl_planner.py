@@ -216,8 +216,6 @@ def test_out_of_time_ends_every_process_of_the_engine(extended, slow, tmp_path):
     ):  # on a busy machine the engine may not begin in a short time
         result = Planner(timeout_s=timeout_s, moves=0).plan(problem_of(extended))
         assert result.outcome is Outcome.OUT_OF_TIME
-        assert result.hangs_on_the_clock
-        assert [attempt.outcome for attempt in result.attempts] == [Outcome.OUT_OF_TIME]
         if is_begun(tmp_path):
             break
     wait_until_dead(child_of(tmp_path))

@@ -187,7 +187,7 @@ def test_what_is_sensed_of_an_unknown_object_is_passed_over_and_told(ways):
     world.facts = {"(at volcano)": True, "(damp)": False}
     assert world.run() is Status.SUCCESS
     assert (
-        "has no object 'volcano' (in '(at volcano)'); known: other, pool, swim"
+        "(at volcano) is sensed, but ignored: 'volcano' is no object; known: other, pool, swim"
         in world.executor.findings[-1]
     )
     world.facts = {"(att pool)": True}
