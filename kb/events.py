@@ -24,6 +24,8 @@ class EventKind(StrEnum):
 
 RECORDS: Final = frozenset(
     {
+        "component_started",
+        "component_ended",
         "finish_plan",
         "record_attempt",
         "finish_attempt",
@@ -38,6 +40,8 @@ _WORDS: Final[Mapping[str, str | tuple[str, str]]] = {
     "component_failed": "{0} has failed{reason}",
     "component_recovered": "{0} is recovered",
     "component_active": ("{0} is inactive{reason}", "{0} is active"),
+    "component_started": "{0} runs as process {1}",
+    "component_ended": "{0} no longer runs as process {1}",
     "request_action": "{0} is requested",
     "cancel_action": "{0} is {1}{because}",
     "assert_required": ("{0} is no longer asserted required", "{0} is asserted required"),

@@ -43,6 +43,7 @@ from kb.records import (
     Attempt,
     HistoryView,
     Log,
+    Process,
     ReconfigurationPlan,
     Records,
     Reply,
@@ -563,6 +564,20 @@ class KnowledgeBase:
         return True
 
     # ---------------------------------------------------------------- record what is done
+
+    @_update
+    def component_started(self, component: str, pid: int) -> Process:
+        """Record that a process of the operating system was started for a component.
+
+        It need not be active yet.
+        """
+        self._record("component_started", self._network.components[component].name, int(pid))
+        return next(reversed(self._records.processes.values()))
+
+    @_update
+    def component_ended(self, component: str, pid: int) -> None:
+        """Record that the process of a component with this number has ended."""
+        self._record("component_ended", self._network.components[component].name, int(pid))
 
     @_update
     def record_attempt(

@@ -67,6 +67,7 @@ CLASSES: Final[Mapping[type, str]] = {
     **{cls: words.title().replace(" ", "") for cls, words in elements.ROSA.items()},
     records.RequiredAction: "RequiredAction",
     records.ReconfigurationPlan: "ReconfigurationPlan",
+    records.Process: "ComponentProcess",
     records.Attempt: "Attempt",
     records.VetoAnswer: "VetoAnswer",
 }
@@ -79,7 +80,7 @@ _SUBCLASSES: Final = {
     "ProcessComponent": "RosNodeComponent",
     "Relation": "Constraint Estimation Parameter Preference",
     "Fact": "Measurement VetoAnswer Amendment Event Period",
-    "Period": """RequiredAction ReconfigurationPlan Attempt Failure Activity
+    "Period": """RequiredAction ReconfigurationPlan ComponentProcess Attempt Failure Activity
         Selection AssertedStatus AssertedRequirement ParametersInForce""",
 }
 _PARENTS: Final = {word: parent for parent, words in _SUBCLASSES.items() for word in words.split()}
@@ -105,6 +106,7 @@ _TABLE: Final = """
     setsParametersOf  ComponentConfiguration* ReconfigurationPlan.parameters Attempt.configuration
     ofPlan            ReconfigurationPlan     plan
     number            whole                   Attempt.number
+    pid               whole
     alwaysImprove     flag
     stopsToConfigure  flag
     latest            flag
@@ -544,7 +546,7 @@ class _Live(_Graph):
     def _new_records(self, kb: Any) -> Iterator[Individual]:  # noqa: ANN401  # a knowledge base
         """Yield the records that are new or had not ended."""
         history = kb.history
-        tables = (history.actions, history.attempts, history.answers)
+        tables = (history.actions, history.processes, history.attempts, history.answers)
         for table in (kb.plans, *tables):
             for record in table[-RECORDS:]:
                 number = getattr(record, "serial", None) or record.number

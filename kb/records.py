@@ -113,6 +113,25 @@ class ReconfigurationPlan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Process:
+    """A process of the operating system in which a component ran or runs.
+
+    Attributes:
+        component: name of the component.
+        pid: number of the process.
+        start: when it was started [s].
+        end: when it ended [s], None while it runs.
+        number: number of the event of its start.
+    """
+
+    component: str
+    pid: int
+    start: float
+    end: float | None = None
+    number: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Attempt:
     """One command, given once, and its result; only the knowledge base can end it.
 
@@ -167,7 +186,7 @@ class VetoAnswer:
     number: int = 0
 
 
-RecordT = TypeVar("RecordT", RequiredAction, ReconfigurationPlan, Attempt, VetoAnswer)
+RecordT = TypeVar("RecordT", RequiredAction, ReconfigurationPlan, Process, Attempt, VetoAnswer)
 
 
 class Log:
@@ -224,6 +243,7 @@ class Records:
         required: the open ones of these by name of the action.
         plans: reconfiguration plans by their number.
         open_plans: those of these that have not ended.
+        processes: by number of the event of the start.
         attempts: commands by their serial number.
         answers: answers about plans by number of the event.
         last_end: when a request ended last [s], and the number of that event.
@@ -235,6 +255,7 @@ class Records:
         self.required: dict[str, RequiredAction] = {}
         self.plans: dict[int, ReconfigurationPlan] = {}
         self.open_plans: dict[int, ReconfigurationPlan] = {}
+        self.processes: dict[int, Process] = {}
         self.attempts: dict[int, Attempt] = {}
         self.answers: dict[int, VetoAnswer] = {}
         self.last_end: tuple[float, int] | None = None
@@ -270,6 +291,12 @@ class Records:
                     for number, open_plan in self.open_plans.items()
                     if open_plan.end is None
                 }
+            case "component_started", (name, pid):
+                self._add(self.processes, Process(name, pid, now, number=event.number))
+            case "component_ended", (name, pid):
+                for process in self.processes.values():
+                    if process.end is None and (process.component, process.pid) == (name, pid):
+                        _finish(process, end=now)
             case "record_attempt", (number, component, operation, name, parameters, count):
                 values = MappingProxyType(dict(parameters))
                 command = self.plans[number], component, operation, name, values, count, now
@@ -323,6 +350,7 @@ class HistoryView:
     Attributes:
         actions: the actions that are or were required, in the order of the requests.
         open_plans: the plans that have not ended, in the order in which they were made.
+        processes: the processes in which components ran or run, in order.
         attempts: the commands that were given, in order, each with its result.
         answers: the answers to whether a plan may be executed, in order.
         rejected: how many values of diagnostics could not be used so far.
@@ -336,6 +364,7 @@ class HistoryView:
 
     actions = _Table[RequiredAction]("requests")
     open_plans = _Table[ReconfigurationPlan]("open_plans")
+    processes = _Table[Process]("processes")
     attempts = _Table[Attempt]("attempts")
     answers = _Table[VetoAnswer]("answers")
 

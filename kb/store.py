@@ -28,6 +28,7 @@ from kb.network import Network, Node
 from kb.records import (
     Attempt,
     Log,
+    Process,
     ReconfigurationPlan,
     RequiredAction,
     VetoAnswer,
@@ -387,7 +388,7 @@ _CLASSES: Final = {
     cls.__name__: cls
     for cls in (
         *(Status, Debounced, Reason),
-        *(RequiredAction, ReconfigurationPlan, Attempt, VetoAnswer),
+        *(RequiredAction, ReconfigurationPlan, Process, Attempt, VetoAnswer),
     )
 }
 """The classes of which facts are made, beside the plain ones."""

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any, Final
 
 from kb import KnowledgeBase, ReconfigurationPlan
+from kb.records import Process
 from missions.wires import ros
 from missions.wires.node import Answer, Message, Node, RosError
 
@@ -30,7 +31,7 @@ class RosaServices:
     """Serves ROSA's services under `/rosa_kb/` from a knowledge base.
 
     Services, types and fields have the original's names; times are ISO 8601, by the knowledge
-    base's clock. Its services that insert elements or processes, or query in TypeQL, are not there.
+    base's clock. Its services that insert elements, or query in TypeQL, are not there.
     """
 
     def __init__(self, kb: KnowledgeBase, node: Node) -> None:
@@ -68,6 +69,9 @@ class RosaServices:
         yield "reconfiguration_plan/get", plan, lambda request: self._plan(self._find_plan(request))
         yield "reconfiguration_plan/get_latest", plan, lambda _: self._plan(self._kb.latest_plan)
         yield "reconfiguration_plan/result/set", plan, self._finish_plan
+        yield "component_process/insert", "ComponentProcessQuery", self._start_process
+        yield "component_process/end/set", "ComponentProcessQuery", self._end_process
+        yield "component_process/get_active", "ComponentProcessQueryArray", self._processes
 
     def _answer(self, name: str, answer: Answer, request: Message) -> Message:
         """Add `success` to an answer; answers have no field for a reason, so `/rosa/log` has it."""
@@ -133,6 +137,20 @@ class RosaServices:
                 return plan
         raise RosError(f"no reconfiguration plan has start_time {start!r}")
 
+    def _start_process(self, request: Message) -> Message:
+        process = request["component_process"]
+        started = self._kb.component_started(process["component"]["name"], process["pid"])
+        return {"component_process": self._process(started)}
+
+    def _end_process(self, request: Message) -> Message:
+        process = request["component_process"]
+        self._kb.component_ended(process["component"]["name"], process["pid"])
+        return request
+
+    def _processes(self, _: Message) -> Message:
+        active = [process for process in self._kb.history.processes if process.end is None]
+        return {"component_process": [self._process(process) for process in active]}
+
     def _set_active(self, request: Message) -> Message:
         component = request["component"]
         self._kb.component_active(component["name"], bool(component["is_active"]))
@@ -173,14 +191,22 @@ class RosaServices:
         if plan is None:
             raise RosError("there is no reconfiguration plan yet")
         message = {
-            "start_time": _iso(plan.start),
-            "end_time": "" if plan.end is None else _iso(plan.end),
+            **_span(plan),
             "result": plan.result or "",
             **self._list("components_activate", plan.activate),
             **self._list("components_deactivate", plan.deactivate),
             **self._list("component_configurations", plan.parameters),
         }
         return {"reconfig_plan": message}
+
+    def _process(self, process: Process) -> Message:
+        component = self._element("component", process.component)
+        return {"pid": process.pid, **_span(process), "component": component}
+
+
+def _span(record: ReconfigurationPlan | Process) -> Message:
+    end = "" if record.end is None else _iso(record.end)
+    return {"start_time": _iso(record.start), "end_time": end}
 
 
 def _iso(time_s: float) -> str:

@@ -59,6 +59,10 @@ def answers(kb, *, ended=False):
         "requests": [request(action) for action in kb.history.actions],
         "open": [action.action for action in kb.required_actions],
         "attempts": [attempt(one) for one in kb.history.attempts],
+        "processes": [
+            (process.component, process.pid, process.start, process.end)
+            for process in kb.history.processes
+        ],
         "answers": [
             (kb.plans.index(answer.plan), answer.time, answer.is_vetoed, answer.reason)
             for answer in kb.history.answers
@@ -164,6 +168,11 @@ class Life:
                 yield kb.record_attempt, *command
                 yield kb.finish_attempt, kb.history.attempts[-1], "completed"
         elif what == 11:
+            running = [process for process in kb.history.processes if process.end is None]
+            if running and chance.random() < 0.5:
+                yield kb.component_ended, "lidar", running[0].pid
+            else:
+                yield kb.component_started, "lidar", chance.randrange(1000)
             lidar = kb.components["lidar"]
             status = chance.choice(("failure", "solved", None))
             until = chance.choice((None, self.clock.now + 5.0))

@@ -72,11 +72,15 @@ def test_records_are_events_that_refer_by_number(kb):
     attempt = kb.record_attempt(plan, "camera", "activate")
     kb.finish_attempt(attempt, "failed", ODD)
     kb.finish_plan(plan, "failed")
+    kb.component_started("camera", 7)
+    kb.component_ended("camera", 7)
     assert said(kb.log)[2:] == [
         ("record_answer", (1, False, "")),
         ("record_attempt", (1, "camera", "activate", None, {}, 1)),
         ("finish_attempt", (attempt.serial, "failed", ODD)),
         ("finish_plan", (1, "failed")),
+        ("component_started", ("camera", 7)),
+        ("component_ended", ("camera", 7)),
     ]
     assert {one.kind for one in list(kb.log)[2:]} == {EventKind.RECORD}
 

@@ -278,7 +278,7 @@ def test_life_is_told_in_declared_words_without_contradiction(tmp_path):
     told = life.kb.query("SELECT DISTINCT ?k { ?x a ?k . ?k rdfs:subClassOf+ :Fact }")
     assert {kind.removeprefix(ROSA) for (kind,) in told} >= {
         *("Measurement", "RequiredAction", "ReconfigurationPlan", "Attempt", "VetoAnswer"),
-        *("Activity", "Failure", "Selection", "AssertedStatus"),
+        *("ComponentProcess", "Activity", "Failure", "Selection", "AssertedStatus"),
         *("AssertedRequirement", "ParametersInForce"),
     }
     life.kb.close()

@@ -215,6 +215,12 @@ def test_services_of_the_original_are_served(server):
     assert call("reconfiguration_plan/get", reconfig_plan=plan)["success"]
     assert call("component/active/set", component={**camera, "is_active": True})["success"]
     assert call("component/active/get", component=camera)["component"]["is_active"]
+    process = {"pid": 4711, "component": camera}
+    assert call("component_process/insert", component_process=process)["success"]
+    (active,) = call("component_process/get_active")["component_process"]
+    assert active["pid"] == 4711
+    assert call("component_process/end/set", component_process=process)["success"]
+    assert not call("component_process/get_active")["component_process"]
     call("action/request", action={**explore, "is_required": False})
     assert not server.kb.required_actions
     misspelt = {"name": "exlpore", "is_required": True}
