@@ -107,7 +107,9 @@ class TreeRunner(BehaviourTree):
         """
         self._take_all()
         super().setup(*args, **kwargs)
-        self._setup_arguments = kwargs
+        self._setup_arguments = {
+            name: value for name, value in kwargs.items() if name not in ("timeout", "visitor")
+        }
 
     def update(self) -> bool:
         """Tick once if a tick is due; return whether it was. Missed ticks are not made up for."""

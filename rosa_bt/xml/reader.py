@@ -276,6 +276,9 @@ class _Builder:
             for name, text in written.items()
             if name in arguments and key_of(text, name) is None
         }
+        for key in written.keys() - literals.keys() & arguments.keys():
+            if arguments[key].required:
+                raise element.error(f"it needs a value for {key!r} when it is made, not a key")
         constants = Ports(arguments, literals, board)
         branches = [Branch(slot.node.name, [slot]) for slot in slots]
         roles: dict[str, Any] = {"name": name, "children": branches, "blackboard": board}
@@ -302,6 +305,8 @@ class _Builder:
         if isinstance(behaviour, PortsMixin):
             ports.connect(behaviour)
         if isinstance(behaviour, ActionBehaviour) and "action" not in ports.keys:
+            if behaviour.named_action is None and "action" not in written:
+                raise element.error(f"<{element.node}> has no action; write action=... in it")
             action = behaviour.action
             behaviour.kb.is_feasible(action)  # raises now, if it is unknown
             if ports.literals.get("action", action) != action:
@@ -351,5 +356,7 @@ def ports_of(behaviour: Behaviour) -> Declared:
 def _check_children(element: Element, least: float, most: float) -> None:
     count = len(element)
     if not least <= count <= most:
-        numbers = str(least) if least == most else f"{least} to {most}"
+        numbers = f"at least {least}" if most == inf else f"{least} to {most}"
+        if least == most:
+            numbers = str(least)
         raise element.error(f"children of <{element.node}>: {count}; it takes {numbers}")
