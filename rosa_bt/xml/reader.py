@@ -14,7 +14,7 @@ from rosa_bt.behaviours import ActionBehaviour, HasStatus, IsActionFeasible, Mea
 from rosa_bt.composites import DoUntilUnfeasible
 from rosa_bt.decorators import Clock, ClockFollower, ForAction, Retry, UntilSuccess
 from rosa_bt.exceptions import RegistryError, RosaBtError, XmlError, hint, in_words
-from rosa_bt.xml.blackboard import Blackboard, Declared, Ports, convert, key_of
+from rosa_bt.xml.blackboard import Blackboard, Declared, NodeError, Ports, convert, key_of
 from rosa_bt.xml.document import MARKS, Document, Element
 from rosa_bt.xml.nodes import NODES, RULES, Branch, Slot, is_plain
 from rosa_bt.xml.scripts import parse_script
@@ -276,9 +276,10 @@ class _Builder:
             for name, text in written.items()
             if name in arguments and key_of(text, name) is None
         }
-        for key in written.keys() - literals.keys() & arguments.keys():
-            if arguments[key].required:
-                raise element.error(f"it needs a value for {key!r} when it is made, not a key")
+        for key, argument in arguments.items():
+            if argument.required and key not in literals:
+                where = f"write {key}=... with a value, or hand it to BehaviourRegistry"
+                raise NodeError(f"it needs a value for {key!r} when it is made; {where}")
         constants = Ports(arguments, literals, board)
         branches = [Branch(slot.node.name, [slot]) for slot in slots]
         roles: dict[str, Any] = {"name": name, "children": branches, "blackboard": board}

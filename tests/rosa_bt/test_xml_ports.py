@@ -268,8 +268,11 @@ def test_leaves_of_ours_can_be_written():
         ('<Add one="x"/>', "the port 'one': 'x' is no float"),
         ('<Add one="1" twoo="1"/>', "it has no port 'twoo'; known: 'one', 'other', 'total'"),
         ('<Say what="1" loud="maybe"/>', "the port 'loud': 'maybe' is no bool"),
-        ('<water plants="4"/>', "it needs a value for 'action'; write action=..."),
-        ('<water action="{a}"/>', "it needs a value for 'action' when it is made, not a key"),
+        ('<water plants="4"/>', "it needs a value for 'action' when it is made; write action=..."),
+        (
+            '<water action="{a}"/>',
+            "it needs a value for 'action' when it is made; write action=...",
+        ),
         ('<water action="scann"/>', "did you mean 'scan'"),
         ('<water action="scan" plant="4"/>', "no port 'plant'; did you mean 'plants'?"),
         ('<water action="scan" plants="-1"/>', "cannot be made: OSError: no can"),
