@@ -80,6 +80,8 @@ def guard(behaviour: Behaviour) -> None:
 
 def finish(behaviour: Behaviour, new_status: Status) -> None:
     """Give a behaviour the status of this tick, and stop it if that is an end."""
+    if type(new_status) is not Status:
+        raise TypeError(f"update returned {new_status!r}, which is no py_trees.common.Status")
     if new_status is RUNNING:
         behaviour.status = new_status
     else:
@@ -103,6 +105,8 @@ class KbBehaviour(Behaviour):
     def tick(self) -> Iterator[Behaviour]:
         with self.kb.reading():  # all is answered at one moment, which the trace can name
             self.last_event = self.kb.log.last
+            if self.status is not RUNNING:
+                self.initialise()
             new_status = self.update()
         finish(self, new_status)
         yield self
@@ -376,10 +380,7 @@ class RosaAction(Requester, ActionBehaviour):
             progress = requests_of(self.kb).progress.get((self.action, self.name))
             if progress is not None:
                 self.restore_progress(progress)
-        status = self.update()
-        if type(status) is not Status:
-            raise TypeError(f"update returned {status!r}, which is no py_trees.common.Status")
-        return status
+        return self.update()
 
     def stop(self, new_status: Status) -> None:
         """Save progress, call `terminate`, and release the request or begin to halt.

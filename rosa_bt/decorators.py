@@ -17,7 +17,7 @@ from py_trees.decorators import Decorator
 from kb import KnowledgeBase
 from rosa_bt.behaviours import Requester, Ticking, guard
 from rosa_bt.exceptions import TreeChangeError
-from rosa_bt.requests import FAILURE, RUNNING, SUCCESS, ActionRequest
+from rosa_bt.requests import FAILURE, INVALID, RUNNING, SUCCESS, ActionRequest
 
 Clock = Callable[[], float]
 """Gives the time [s]."""
@@ -78,12 +78,17 @@ class ForAction(Requester, PassingOn):
         return self.update()
 
     def stop(self, new_status: Status) -> None:
-        """Release the request, and stop the child if it is running.
+        """Stop the child if it is running, and release the request.
 
         The status changes last: after an interrupt in here, a second call does the rest.
         """
-        self._rosa_request.close(new_status, self.feedback_message)
-        super().stop(new_status)
+        try:
+            self.terminate(new_status)
+            if new_status is INVALID or self.decorated.status is RUNNING:
+                self.decorated.stop(INVALID)
+        finally:
+            self._rosa_request.close(new_status, self.feedback_message)
+        self.status = new_status
 
 
 class UntilSuccess(Decorator):

@@ -115,6 +115,8 @@ class ActionRequest:
     """
 
     def __init__(self, owner: Any, kb: KnowledgeBase) -> None:  # noqa: ANN401  # a Requester
+        if not owner.timeout > 0:
+            raise ValueError(f"a time-out is more than 0 s, not {owner.timeout!r}")
         self.owner = owner
         self._kb = kb
         self._requests = requests_of(kb)

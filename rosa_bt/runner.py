@@ -31,8 +31,9 @@ class TreeRunner(BehaviourTree):
     A mission begins when a runner is made for a tree, and ends when the root succeeds. Both drop
     the progress that interrupted actions saved.
 
-    Change the tree between ticks as in py_trees, e.g. by `insert_subtree`. A sequence or selector
-    that lost its current child starts again.
+    Change the tree between ticks as in py_trees, e.g. by `insert_subtree`. What is taken out of it
+    is stopped before the next tick at the latest. A sequence or selector that lost its current
+    child starts again.
 
     Args:
         root: of the tree.
@@ -107,7 +108,9 @@ class TreeRunner(BehaviourTree):
         """
         self._take_all()
         super().setup(*args, **kwargs)
-        self._setup_arguments = kwargs
+        self._setup_arguments = {
+            name: value for name, value in kwargs.items() if name not in ("timeout", "visitor")
+        }
 
     def update(self) -> bool:
         """Tick once if a tick is due; return whether it was. Missed ticks are not made up for."""
@@ -169,6 +172,7 @@ class TreeRunner(BehaviourTree):
         Raises the first exception of these at the end if the runner raises errors.
         """
         self.errors.clear()
+        self._take_all()
         halt(self.root)
         for kb in self._bases:
             end_halting(kb)
@@ -191,11 +195,15 @@ class TreeRunner(BehaviourTree):
             raise self.errors[0][1]
 
     def _take_all(self) -> None:
-        """Take what is new in the tree."""
+        """Take what is new in the tree, and stop what is no longer in it."""
         if [node.children for node in self._nodes] == self._children:
             return
         nodes = list(self.root.iterate())
         before = set(self._nodes)
+        present = set(nodes)
+        for behaviour in self._nodes:
+            if behaviour not in present:
+                halt(behaviour)
         self._nodes = nodes
         self._children = [list(node.children) for node in nodes]
         for behaviour in nodes:

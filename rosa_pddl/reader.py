@@ -555,7 +555,8 @@ class _Reader:
             self.kinds.setdefault(ACTION_TYPE, (ACTION_TYPE, (ACTION_TYPE, "object")))
             signature = Signature(FEASIBLE, (("?a", ACTION_TYPE),), False)
             self.signatures.setdefault(FEASIBLE, signature)
-            self.types.setdefault(action, (ACTION_TYPE, "object"))
+            if ACTION_TYPE not in self.types.setdefault(action, (ACTION_TYPE, "object")):
+                raise UnknownNameError(f"the object {action!r} is not of type {ACTION_TYPE!r}")
 
     # ------------------------------------------------------------ actions
 

@@ -276,7 +276,8 @@ def built(title: str, kind: type[T], build: Callable[..., object], *arguments: o
     """
     with blamed(lambda: f"cannot build {title}"):
         parameters = signature(build).parameters.values() if arguments else ()
-        required = [each for each in parameters if each.default is Parameter.empty]
+        places = [each for each in parameters if each.kind <= Parameter.POSITIONAL_OR_KEYWORD]
+        required = [each for each in places if each.default is Parameter.empty]
         result = build(*arguments[: len(required)])
     if isinstance(result, BehaviourTree):
         result = result.root

@@ -180,6 +180,8 @@ def from_data(data: Mapping[str, Any], source: str) -> Campaign:
     campaign = from_table(Campaign, data, source)
     if "/" in campaign.name:
         raise MissionError(f"{source}: name is {campaign.name!r}; it names a folder, without /")
+    if campaign.first_seed < 0:
+        raise MissionError(f"{source}: first_seed is {campaign.first_seed}; expected is 0 or more")
     names = Counter(run.name for run in campaign.planned())
     if not names:
         raise MissionError(

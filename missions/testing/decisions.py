@@ -410,7 +410,7 @@ def _messages_of(source: str | Path | Bag | Iterable[Message]) -> list[Message]:
         source = read_bag(source)
     if not isinstance(source, Bag):
         return list(read_recording(source))
-    return [source.header(), *source.messages]
+    return [source.header(), *source.messages] if source.run else source.messages
 
 
 def _decide(run: RosaRun, world: Recording) -> Decisions:

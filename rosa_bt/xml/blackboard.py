@@ -321,7 +321,8 @@ class Ports:
         if name in self.keys:
             value = self.blackboard.get(self.keys[name])
         if value is None:
-            raise NodeError(f"the port {name!r} has no value (yet)")
+            written = self.keys.get(name, name)
+            raise NodeError(f"the port {name!r} has no value: {written!r} is not written (yet)")
         try:
             return convert(value, self._declared[name].data_type)
         except NodeError as error:

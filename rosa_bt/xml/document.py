@@ -305,6 +305,11 @@ class Document:
             prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
             shares = [Path(prefix, "share", package) for prefix in prefixes]
             folder = max(shares, key=Path.is_dir)  # the first that exists
+            if not folder.is_dir():
+                raise element.error(
+                    f"the ROS package {package!r} is not below AMENT_PREFIX_PATH; "
+                    "source the workspace that has it, or write the path alone"
+                )
         self._file(folder / element.needed("path"), element.where)
 
 

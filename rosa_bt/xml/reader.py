@@ -14,7 +14,7 @@ from rosa_bt.behaviours import ActionBehaviour, HasStatus, IsActionFeasible, Mea
 from rosa_bt.composites import DoUntilUnfeasible
 from rosa_bt.decorators import Clock, ClockFollower, ForAction, Retry, UntilSuccess
 from rosa_bt.exceptions import RegistryError, RosaBtError, XmlError, hint, in_words
-from rosa_bt.xml.blackboard import Blackboard, Declared, Ports, convert, key_of
+from rosa_bt.xml.blackboard import Blackboard, Declared, NodeError, Ports, convert, key_of
 from rosa_bt.xml.document import MARKS, Document, Element
 from rosa_bt.xml.nodes import NODES, RULES, Branch, Slot, is_plain
 from rosa_bt.xml.scripts import parse_script
@@ -276,6 +276,10 @@ class _Builder:
             for name, text in written.items()
             if name in arguments and key_of(text, name) is None
         }
+        for key, argument in arguments.items():
+            if argument.required and key not in literals:
+                where = f"write {key}=... with a value, or hand it to BehaviourRegistry"
+                raise NodeError(f"it needs a value for {key!r} when it is made; {where}")
         constants = Ports(arguments, literals, board)
         branches = [Branch(slot.node.name, [slot]) for slot in slots]
         roles: dict[str, Any] = {"name": name, "children": branches, "blackboard": board}
@@ -302,6 +306,8 @@ class _Builder:
         if isinstance(behaviour, PortsMixin):
             ports.connect(behaviour)
         if isinstance(behaviour, ActionBehaviour) and "action" not in ports.keys:
+            if behaviour.named_action is None and "action" not in written:
+                raise element.error(f"<{element.node}> has no action; write action=... in it")
             action = behaviour.action
             behaviour.kb.is_feasible(action)  # raises now, if it is unknown
             if ports.literals.get("action", action) != action:
@@ -351,5 +357,7 @@ def ports_of(behaviour: Behaviour) -> Declared:
 def _check_children(element: Element, least: float, most: float) -> None:
     count = len(element)
     if not least <= count <= most:
-        numbers = str(least) if least == most else f"{least} to {most}"
+        numbers = f"at least {least}" if most == inf else f"{least} to {most}"
+        if least == most:
+            numbers = str(least)
         raise element.error(f"children of <{element.node}>: {count}; it takes {numbers}")

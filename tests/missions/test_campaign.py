@@ -211,6 +211,7 @@ MISSION = 'missions = ["suave"]\n'
         (MISSION + 'managers = ["bd"]', "unknown manager 'bd'; there are ours"),
         (MISSION + 'tasks = ["xml"]', "unknown task layer 'xml'"),
         (MISSION + "runs = 1.5", "runs is 1.5; expected is a whole number"),
+        (MISSION + "first_seed = -1", "first_seed is -1; expected is 0 or more"),
         ('missions = ["suave", "suave"]', "lists suave/ours/bt/0 2 times"),
         (MISSION + "sweep = { bias = 1 }", "sweep is {'bias': 1}; expected is a list"),
         (MISSION + "settings = { bais = 1 }", "unknown setting 'bais'"),

@@ -15,11 +15,20 @@ from small_rover import ENERGY_DROP, Sensing, rover_model, rover_tree
 
 from kb import UnknownName
 from missions.engine.mission import MissionError, Percepts
-from missions.engine.recording import failed, header, line_of, measured, recovered, sensed
+from missions.engine.recording import (
+    failed,
+    header,
+    line_of,
+    measured,
+    read_recording,
+    recovered,
+    sensed,
+)
 from missions.engine.runner import Listener
 from missions.suave.tree import suave_tree
 from missions.suave_extended.model import suave_extended_model
 from missions.testing import FakeClock, ScriptedManaged, replay
+from missions.wires.mcap import Bag
 from rosa_bt import replay_trace
 
 BATTERY_DROP = Path(__file__).with_name("battery_drop.jsonl")
@@ -191,6 +200,12 @@ def test_replay_of_a_live_run_decides_the_same(task, tmp_path):
     assert rows[0] == rows[1]
     begun = [(action.action, action.start) for action in run.actions]
     assert [(name, start) for name, start, _, _ in decisions.actions] == begun
+
+
+def test_lines_that_were_read_already_keep_how_the_robot_was_run():
+    lines = [*read_recording(BATTERY_DROP)]
+    lines[0] = {**lines[0], "run": {"settings": {"duration_s": 5.0}}}
+    assert replay(Bag(lines), "suave_extended").kb.now == pytest.approx(5.0)
 
 
 def test_tree_replaces_the_task_layer_and_its_trace_is_replayed():

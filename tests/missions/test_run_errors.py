@@ -12,7 +12,7 @@ from running import ROVER, Field, FieldKind, called, register, rosa_run, run_rov
 
 from missions import suave_extended
 from missions.baselines import Policy, open_run
-from missions.engine.mission import Mission, MissionError, find_mission
+from missions.engine.mission import Mission, MissionError, built, find_mission
 from missions.engine.percepts import measured
 from missions.engine.recording import LineRecorder, read_recording
 from missions.views.output import summary
@@ -114,6 +114,11 @@ def own(**methods):
 def test_function_of_an_author_that_is_wrong_is_named(mission, options, words):
     with pytest.raises(MissionError, match=words):
         open_run(mission, settings={"duration_s": "1"}, **options).run()
+
+
+def test_function_of_an_author_gets_what_it_requires():
+    assert built("it", int, lambda kb, **named: kb, 1, 2) == 1
+    assert built("it", int, lambda kb, percepts, *more: percepts, 1, 2) == 2
 
 
 def test_exception_of_our_own_stays_a_traceback(monkeypatch):

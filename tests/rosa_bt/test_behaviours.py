@@ -101,3 +101,20 @@ def test_refused_request_is_a_failure_with_the_reason(kb):
     assert "initialise" not in action.calls
     assert "update" not in action.calls
     assert kb.history.actions == ()
+
+
+def test_condition_of_a_user_is_initialised_and_must_return_a_status(kb):
+    class Asked(IsActionFeasible):
+        begun = 0
+
+        def initialise(self):
+            self.begun += 1
+
+        def update(self):
+            return self.answer
+
+    condition = Asked("scan?", kb, "scan")
+    for condition.answer in (Status.RUNNING, Status.SUCCESS, None):
+        condition.tick_once()
+    assert (condition.begun, condition.status) == (2, Status.FAILURE)
+    assert "update returned None" in condition.feedback_message

@@ -200,6 +200,7 @@ class Horn(Behaviour):
     sound = "none"
 
     def setup(self, **kwargs):
+        assert [*kwargs] == ["sound"]
         self.sound = kwargs["sound"]
 
     def update(self):
@@ -211,7 +212,7 @@ def test_setup_reaches_a_behaviour_inserted_later():
     second = Horn("second")
     root = Sequence("root", memory=True, children=[first])
     runner = TreeRunner(root, clock=Clock())
-    runner.setup(sound="toot")
+    runner.setup(timeout=1.0, sound="toot")
     runner.tick()
     runner.tree.insert_subtree(second, root.id, 1)
     runner.tick()

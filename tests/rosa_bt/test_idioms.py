@@ -74,6 +74,16 @@ def test_unmodified_behaviour_is_stopped_with_the_reason(kb):
     assert len(kb.history.actions) == 1
 
 
+def test_child_is_stopped_before_its_action_is_released(kb):
+    child = Running("look")
+    seen = []
+    child.terminate = lambda status: seen.append((status, required(kb)))
+    root = ForAction("search", kb, "search", child)
+    root.tick_once()
+    root.stop(Status.INVALID)
+    assert (seen, required(kb)) == ([(Status.INVALID, ["search"])], [])
+
+
 @pytest.mark.parametrize(
     ("element", "status", "error", "message"),
     [

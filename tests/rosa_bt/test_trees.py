@@ -2,6 +2,7 @@
 
 import pytest
 from py_trees.behaviour import Behaviour
+from py_trees.behaviours import Success
 from py_trees.common import ParallelPolicy, Status
 from py_trees.composites import Parallel, Sequence
 from py_trees.trees import BehaviourTree
@@ -81,6 +82,15 @@ def test_tree_is_changed_between_ticks_as_in_py_trees():
     runner.tree.prune_subtree(third.id)
     runner.tick()
     assert (root.status, third.ended, second.ticks) == (Status.RUNNING, [Status.INVALID], 1)
+
+
+def test_what_is_taken_out_of_the_list_of_children_is_stopped():
+    first = Probe("first")
+    root, runner = running(Success("done"), first)
+    runner.tick()
+    root.children.remove(first)
+    runner.tick()
+    assert first.ended == [Status.INVALID]
 
 
 def test_visitors_and_handlers_are_called_as_by_py_trees():
