@@ -102,7 +102,8 @@ class FaultInjector:
         """Add faults; one whose time is over happens at once.
 
         Raises:
-            MissionError, kb.UnknownName: an element is unknown, or the fault comes after the end of
+            MissionError, kb.UnknownName, kb.InvalidValue: an element is unknown, a value is out of
+                its range, or the fault comes after the end of
                 the mission; no fault is added.
         """
         checked = []
@@ -114,6 +115,8 @@ class FaultInjector:
                     f"the fault {str(fault)!r} would never happen: the mission ends at "
                     f"{self._duration_s:g} s; set duration_s or an earlier time"
                 )
+            if fault.verb == "measure":
+                self._model.attributes[fault.name].checked(fault.value)
             checked.append(fault._replace(name=elements[fault.name].name))
         with self._lock:
             self.waiting = sorted([*self.waiting, *checked], key=attrgetter("time"))
