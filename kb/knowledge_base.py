@@ -161,6 +161,8 @@ class KnowledgeBase:
     ) -> None:
         if not isinstance(model, Model):
             raise InvalidValue(f"a knowledge base is made of a kb.Model, not of {model!r}")
+        if not callable(clock):
+            raise InvalidValue(f"clock is a function that returns the time [s], not {clock!r}")
         model.settle()
         self.model = model
         self._clock = clock

@@ -177,6 +177,10 @@ def do_until_unfeasible(
         memory: finish `meanwhile` first, even if the task becomes feasible earlier.
         name: of the composite.
     """
+    for part in (task, meanwhile):
+        if not isinstance(part, Behaviour):
+            hint = "put several in a Sequence or a Selector"
+            raise TypeError(f"do_until_unfeasible takes behaviours, not {part!r}; {hint}")
     name = name or f"{task.name}, or else {meanwhile.name}"
     parts = feasible_then_act(task), feasible_then_act(meanwhile)
     return DoUntilUnfeasible(name, *parts, memory=memory)

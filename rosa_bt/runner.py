@@ -60,6 +60,8 @@ class TreeRunner(BehaviourTree):
     ) -> None:
         if not period > 0:
             raise ValueError(f"the period of a tree is more than 0 s, not {period!r}")
+        if not callable(clock):
+            raise TypeError(f"clock is a function that returns the time [s], not {clock!r}")
         for choice, choices in ((on_error, _ON_ERROR), (on_clock_set_back, _ON_CLOCK_SET_BACK)):
             if choice not in choices:
                 raise ValueError(f"{choice!r} is none of {', '.join(choices)}")

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from math import inf, isfinite
 from operator import attrgetter
 from threading import Lock
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from kb import Model
 from kb.diagnostics import MEASUREMENTS
@@ -102,9 +102,8 @@ class FaultInjector:
         """Add faults; one whose time is over happens at once.
 
         Raises:
-            MissionError, kb.UnknownName, kb.InvalidValue: an element is unknown, a value is out of
-                its range, or the fault comes after the end of
-                the mission; no fault is added.
+            MissionError, kb.UnknownName: an element is unknown, a value is out of its range, or the
+                fault comes after the end of the mission; no fault is added.
         """
         checked = []
         for fault in faults:
@@ -115,9 +114,10 @@ class FaultInjector:
                     f"the fault {str(fault)!r} would never happen: the mission ends at "
                     f"{self._duration_s:g} s; set duration_s or an earlier time"
                 )
-            if fault.verb == "measure":
-                self._model.attributes[fault.name].checked(fault.value)
-            checked.append(fault._replace(name=elements[fault.name].name))
+            element: Any = elements[fault.name]
+            if fault.verb == "measure" and not element.low <= fault.value <= element.high:
+                raise MissionError(f"the fault {str(fault)!r}: {element.name} is {element.range}")
+            checked.append(fault._replace(name=element.name))
         with self._lock:
             self.waiting = sorted([*self.waiting, *checked], key=attrgetter("time"))
 

@@ -9,7 +9,6 @@ from threading import Event
 
 import pytest
 from mcap.reader import make_reader
-from ros_rig import until
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -342,4 +341,5 @@ def test_disk_that_hangs_holds_up_nobody(tmp_path, monkeypatch):
     with pytest.raises(MissionError, match=r"cannot write .*hung.mcap: the disk does not answer"):
         file.close()
     answers.set()
-    until(lambda: len(list(messages(tmp_path / "hung.mcap", Bag()))) == 1000)
+    file._thread.shutdown(wait=True)
+    assert len(list(messages(tmp_path / "hung.mcap", Bag()))) == 1000

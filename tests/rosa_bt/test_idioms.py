@@ -343,3 +343,16 @@ def test_failure_for_a_real_reason_surfaces(kb, compose, expected):
     root = do_until_unfeasible(task, Act(kb, "inspect"))
     root.tick_once()
     assert root.status is expected
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: do_until_unfeasible([Success("a")], Success("b")), "takes behaviours, not"),
+        (lambda: TreeRunner(Success("a"), clock=0.0), "a function that returns the time"),
+        (lambda: KnowledgeBase(Model("robot"), clock=0.0), "a function that returns the time"),
+    ],
+)
+def test_slip_of_an_author_is_named(make, words):
+    with pytest.raises((TypeError, InvalidValue), match=words):
+        make()
