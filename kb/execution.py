@@ -139,6 +139,13 @@ class StagedExecutor:
         self._stage = []
         if plan is None:
             return
+        start = list(plan.activate)
+        stop = list(plan.deactivate)
+        for older in plans[:-1]:  # completing this plan abandons them
+            for name in (*older.activate, *older.deactivate):
+                node = state.network.components.get(name)
+                if node is not None and state.is_required(node) is not (node in state.active):
+                    (stop if node in state.active else start).append(name)
         running = []
         for name in [name for open_plan in plans for name in open_plan.parameters]:
             part = state.network.configurations.get(name)
@@ -146,10 +153,10 @@ class StagedExecutor:
                 running.append(part.used_by[0].name)
                 if part.used_by[0].element.stops_to_configure:
                     self._paused.append(part.used_by[0].name)
-        self._paused = [name for name in self._paused if name not in plan.deactivate]
-        started = [*plan.activate, *self._paused]
+        self._paused = [name for name in self._paused if name not in stop]
+        started = [*start, *self._paused]
         self._stages = [
-            self._commands(state, "deactivate", [*plan.deactivate, *self._paused]),
+            self._commands(state, "deactivate", [*stop, *self._paused]),
             self._commands(state, "configure", [*running, *started]),
             self._commands(state, "activate", started),
         ]

@@ -408,7 +408,7 @@ def messages(path: str | Path, bag: Bag) -> Iterator[Raw]:
     if not exists(path) or not is_bag(path):  # noqa: PTH110  # Path raises for an impossible name
         raise MissionError(
             f"{path} is no recording of a run: name a file .mcap or .db3, or the folder of a "
-            "rosbag2; `rosa run MISSION --record FILE.mcap` makes one; a .jsonl has diagnostics only"
+            "rosbag2; `rosa run MISSION --record FILE.mcap` makes one; .jsonl has diagnostics only"
         )
     ros.types()  # a missing library is not a fault of the recording
     place = Path(path)

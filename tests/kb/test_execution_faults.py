@@ -275,3 +275,26 @@ def test_two_open_plans_after_an_interrupt_end_as_they_were():
     ]
     assert managed.running == {"lidar"}
     assert kb.actions["explore"].status is Status.SOLVED
+
+
+def test_latest_plan_stops_what_an_older_open_plan_gave_up():
+    model = Model("two")
+    model.function("see").design("by a", [model.component("a", kind="lifecycle")], priority=1)
+    model.functions["see"].design("by b", [model.component("b", kind="lifecycle")], priority=2)
+    model.function("go").design("by d", [model.component("d", kind="lifecycle")], priority=1)
+    model.action("explore", requires=["see", "go"])
+    kb, clock = base(model)
+    managed = Impatient(clock)
+    managed.is_interrupted = True
+    manager = ConfigurationManager(kb, managed)
+    kb.component_failed("d")
+    kb.assert_required(kb.functions["see"], True)
+    turn(manager, clock, 3)
+    assert managed.running == {"a"}
+    kb.component_recovered("d")
+    kb.assert_required(kb.functions["go"], True)
+    kb.select({"see": "by b"})
+    kb.select({"go": "by d"})
+    turn(manager, clock, 3)
+    assert managed.running == {"b", "d"}
+    assert [plan.result for plan in kb.plans] == ["completed", "abandoned", "completed"]

@@ -15,7 +15,6 @@ from test_live import mission
 
 from missions.baselines import open_run
 from missions.engine.mission import find_mission
-from missions.proof.verification import prove, setup_of
 from missions.views.live import Steering
 from missions.views.recorder import RunRecorder
 from missions.views.report import page_of, report
@@ -235,19 +234,6 @@ def test_plan_is_listed_and_its_step_that_is_under_way_is_marked(visits):
     for time, step in ((5, "cross(cross_c1"), (20, "cross(cross_c4")):
         slide(page, time)
         assert [step in words for words in running.all_inner_texts()] == [True]
-
-
-def test_page_of_a_proof_shows_what_failures_leave(visits, tmp_path):
-    proof = prove(setup_of(find_mission("suave")))
-    proof.report(tmp_path / "proof.html")
-    page = visits.show((tmp_path / "proof.html").as_uri())
-    page.locator(".results summary").click()
-    results = page.locator(".results").inner_text()
-    assert "all holds" in results
-    assert proof.count in results
-    rows = page.locator(".results tr").all_inner_texts()
-    assert "follow_pipeline fails\tnothing; does search_pipeline" in rows
-    assert len(rows) == len(proof.consequences)
 
 
 CUT = """() => [...document.querySelectorAll(
