@@ -18,7 +18,7 @@ from pathlib import Path
 from threading import RLock
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
-from weakref import finalize
+from weakref import WeakSet, finalize
 
 from kb import elements, situations, views
 from kb.debounce import NEVER
@@ -60,7 +60,27 @@ _CLOCK_SLACK_S: Final = 1.0
 """How far a clock may go back: clocks are corrected, and threads may be overtaken [s]."""
 _REPLAYABLE: Final[dict[str, Callable[..., object]]] = {}
 """The method that records an event again, by its verb."""
+_LOCKS: Final[WeakSet[Any]] = WeakSet()
+"""The locks of all bases: one that another thread holds at a fork would stay held in the child."""
+_held_locks: list[Any] = []
+
 MethodT = TypeVar("MethodT", bound=Callable[..., Any])
+
+
+def _hold_locks() -> None:
+    for lock in tuple(_LOCKS):
+        lock.acquire()
+        _held_locks.append(lock)
+
+
+def _release_locks() -> None:
+    while _held_locks:
+        _held_locks.pop().release()
+
+
+os.register_at_fork(
+    before=_hold_locks, after_in_parent=_release_locks, after_in_child=_release_locks
+)
 
 
 def _update(method: MethodT) -> MethodT:
@@ -168,11 +188,7 @@ class KnowledgeBase:
         self._clock = clock
         self._is_timed = is_timed
         self._lock = RLock()
-        os.register_at_fork(  # a lock that another thread holds would stay held in the child
-            before=self._lock.acquire,
-            after_in_parent=self._lock.release,
-            after_in_child=self._lock.release,
-        )
+        _LOCKS.add(self._lock)
         self.store = None if store is None else Store(store, model, keep)
         self._state = State(Network(model), keep)
         self._records = Records()

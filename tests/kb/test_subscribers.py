@@ -1,7 +1,9 @@
 """A subscriber hinders nobody: not when interrupted, not by asking another base."""
 
+import gc
 import os
 import threading
+import weakref
 
 import pytest
 from models import Clock
@@ -115,3 +117,9 @@ def test_forked_child_never_waits_for_a_missing_thread():
     done.set()
     thread.join()
     assert codes == [0] * 20
+
+
+def test_dropped_base_leaves_no_lock_for_forks():
+    lock = weakref.ref(base()._lock)
+    gc.collect()
+    assert lock() is None
