@@ -57,7 +57,7 @@ class EngineProcess:
         if limit_s <= 0.0 or not self._lock.acquire(timeout=limit_s):
             raise PlanningFailed(Outcome.OUT_OF_TIME, "no time was left for this question")
         try:
-            self._start()
+            process = self._running()
             question = {
                 "engine": engine,
                 "domain": text.domain,
@@ -65,75 +65,89 @@ class EngineProcess:
                 "limit_s": max(deadline - time.monotonic(), 0.01),
                 "memory_mb": _MEMORY_MB,
             }
-            line = self._answer(json.dumps(question).encode() + b"\n", cancelled, deadline)
+            line = _answer(process, json.dumps(question).encode() + b"\n", cancelled, deadline)
         except BaseException:
-            self.close()  # what it is doing is not waited for
+            self._end()  # what it is doing is not waited for
             raise
         finally:
             self._lock.release()
         answer = json.loads(line)
         outcome = Outcome(answer["outcome"])
         if outcome.is_trouble:
-            raise PlanningFailed(outcome, answer["message"] or "it said nothing")
+            raise PlanningFailed(outcome, answer["message"])
         return outcome, answer["plan"]
 
-    def _start(self) -> None:
-        """Start the process, unless it runs already."""
+    def _running(self) -> subprocess.Popen[bytes]:
+        """Return the process, started if need be."""
         if self._process is not None and self._process.poll() is None:
-            return
-        self.close()
-        paths = {"PYTHONPATH": os.pathsep.join(sys.path), "PYTHONWARNINGS": "ignore"}
-        self._process = subprocess.Popen(
+            return self._process
+        self._end()
+        settings = {
+            "PYTHONPATH": os.pathsep.join(sys.path),
+            "PYTHONWARNINGS": "ignore",
+            "PYTHONHASHSEED": "0",
+        }
+        process = subprocess.Popen(
             [sys.executable, "-P", str(WORKER)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
-            env={**os.environ, **paths, "PYTHONHASHSEED": "0"},
+            env=os.environ | settings,
         )
-        memory = _MEMORY_MB << 20
-        resource.prlimit(self._process.pid, resource.RLIMIT_DATA, (memory, memory))
+        self._process = process
         _PROCESSES.add(self)
-
-    def _answer(self, question: bytes, cancelled: Event, deadline: float) -> bytes:
-        process = self._process
-        assert process is not None
-        assert process.stdin is not None
-        assert process.stdout is not None
-        line = b""
-        with suppress(BrokenPipeError):  # it has ended, which is seen below
-            process.stdin.write(question)
-            process.stdin.flush()
-        while not line.endswith(b"\n"):
-            left_s = deadline + _GRACE_S - time.monotonic()
-            if cancelled.is_set():
-                raise Cancelled
-            if left_s <= 0.0:
-                message = "no answer in time; allow more time or ask for less"
-                raise PlanningFailed(Outcome.OUT_OF_TIME, message)
-            if select.select([process.stdout], [], [], min(left_s, _LOOKS_S))[0]:
-                read = os.read(process.stdout.fileno(), 1 << 16)
-                if not read and not cancelled.is_set():
-                    message = f"its process ended with code {process.wait()}"
-                    message += "; it is started anew next time"
-                    raise PlanningFailed(Outcome.ENGINE_CRASHED, message)
-                line += read
-        return line
+        memory = _MEMORY_MB << 20
+        resource.prlimit(process.pid, resource.RLIMIT_DATA, (memory, memory))
+        return process
 
     def close(self) -> None:
-        """End the process."""
+        """End the process; the thread that waits for its answer sees the end and lets go of it."""
+        _kill(self._process)
+        with self._lock:
+            self._end()
+
+    def _end(self) -> None:
+        """End the process, and close its pipes. The caller holds the lock."""
         process = self._process
         self._process = None
         if process is not None:
-            with suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-            for pipe in (process.stdin, process.stdout):
-                with suppress(OSError):
-                    pipe.close()  # type: ignore[union-attr]  # both are pipes
+            _kill(process)
+            process.communicate()  # which closes its pipes
 
     def __del__(self) -> None:
         self.close()
+
+
+def _answer(
+    process: subprocess.Popen[bytes], question: bytes, cancelled: Event, deadline: float
+) -> bytes:
+    assert process.stdin is not None
+    assert process.stdout is not None
+    line = b""
+    with suppress(BrokenPipeError):  # it has ended, which is seen below
+        process.stdin.write(question)
+        process.stdin.flush()
+    while not line.endswith(b"\n"):
+        left_s = deadline + _GRACE_S - time.monotonic()
+        if cancelled.is_set():
+            raise Cancelled
+        if left_s <= 0.0:
+            message = "no answer in time; allow more time or ask for less"
+            raise PlanningFailed(Outcome.OUT_OF_TIME, message)
+        if select.select([process.stdout], [], [], _LOOKS_S)[0]:
+            read = os.read(process.stdout.fileno(), 1 << 16)
+            if not read:
+                message = f"its process ended with code {process.wait()}; the next is a new one"
+                raise PlanningFailed(Outcome.ENGINE_CRASHED, message)
+            line += read
+    return line
+
+
+def _kill(process: subprocess.Popen[bytes] | None) -> None:
+    if process is not None:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
 
 
 _PROCESSES = WeakSet[EngineProcess]()

@@ -102,17 +102,13 @@ class Planner:
         future: Future[PlanningResult] = Future()
         planning = _Planning(self, problem)
 
-        def on_done(done: "Future[PlanningResult]") -> None:
-            if done.cancelled():
-                planning.cancelled.set()
-
         def work() -> None:
             result = planning.result()
             # not set to running before now, because a running future cannot be cancelled
             if future.set_running_or_notify_cancel():
                 future.set_result(result)
 
-        future.add_done_callback(on_done)
+        future.add_done_callback(lambda _: planning.cancelled.set())
         threading.Thread(target=work, name=f"planner {self.engine}", daemon=True).start()
         return future
 
@@ -155,9 +151,8 @@ def wait_for_plan(future: "Future[PlanningResult]", budget_s: float) -> Planning
         PlanningBudgetError: the answer was not there in time, or the planner ran out of wall-clock
             time, so that a faster machine might have given another answer.
     """
-    finished, _ = wait([future], timeout=budget_s)
     depends = "would make the run depend on the machine"
-    if not finished:
+    if not wait([future], timeout=budget_s).done:
         future.cancel()
         message = f"no plan after {budget_s:g} s of waiting, and going on without {depends}"
         raise PlanningBudgetError(f"{message}; allow more time or ask for less")
@@ -176,10 +171,10 @@ class _Planning:
         self._problem = problem
         self._domain = problem.domain.with_numbers(problem.costs)
         self.cancelled = threading.Event()
+        planner.cancelled.add(self.cancelled)
 
     def result(self) -> PlanningResult:
         """Ask the search for at most half of the time, and the engine if it gives up."""
-        self._planner.cancelled.add(self.cancelled)
         timeout_s = self._planner.timeout_s
         began_s = time.monotonic()
         try:
@@ -189,10 +184,12 @@ class _Planning:
                     return self._report(answer, SEARCH)
             engine = self._main_engine
             answer = self._try(engine, began_s + timeout_s)
+            if self.cancelled.is_set():  # so the engine was killed while it was asked
+                raise Cancelled
             return self._report(answer or PlanningResult(Outcome.OUT_OF_TIME), engine)
         except Cancelled:
-            message = "the planner was closed"
-            return PlanningResult(Outcome.ENGINE_CRASHED, (), self._planner.engine, message)
+            engine = self._planner.engine
+            return PlanningResult(Outcome.ENGINE_CRASHED, (), engine, "the planner was closed")
         finally:
             self._planner.cancelled.discard(self.cancelled)
 
@@ -241,8 +238,7 @@ class _Planning:
         except UnsearchableError as error:
             if strategy == SEARCH:
                 return None
-            message = f"{error} ({self._domain.file})"
-            return PlanningResult(Outcome.UNSUPPORTED, message=message)
+            return PlanningResult(Outcome.UNSUPPORTED, message=f"{error} ({self._domain.file})")
         except UnsupportedPddlError as error:
             return PlanningResult(Outcome.UNSUPPORTED, message=str(error))
         except Exception as error:  # no error here may stop the tree; it is reported by name

@@ -48,7 +48,6 @@ _OUTCOMES = {
     "UNSOLVABLE": "unsolvable proven",
     "NO_PLAN_FOUND": "unsolvable as far as known",
     "TIMEOUT": "out of time",
-    "CANCELLED": "out of time",
     "OUT_OF_MEMORY": "out of memory",
     "GROUNDING_TOO_LARGE": "out of memory",
     "UNSUPPORTED": "unsupported",
