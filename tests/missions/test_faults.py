@@ -25,11 +25,11 @@ def test_fault_text_is_read_back(text):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("fail boom", "--fail takes COMPONENT@S, not 'boom'"),
+        ("fail boom", "--fail takes COMPONENT@SECONDS, not 'boom'"),
         ("fail boom@-1", "--fail takes"),
         ("fail boom@inf", "--fail takes"),
         ("fail a=1@3", "--fail takes"),
-        ("measure light@30", "--measure takes ATTRIBUTE=VALUE@S, not 'light@30'"),
+        ("measure light@30", "--measure takes ATTRIBUTE=VALUE@SECONDS, not 'light@30'"),
         ("measure light=low@30", "--measure takes"),
         ("break boom@3", "a fault begins with fail, recover, measure, release"),
     ],
