@@ -43,7 +43,7 @@ class Messages(Library):
 
     byte = staticmethod(lambda value: bytes([value]))
 
-    def read_fields(self, kind: str) -> dict[str, Field]:
+    def fields(self, kind: str) -> dict[str, Field]:
         types = self.find(kind).get_fields_and_field_types()
         return {name: _field(text) for name, text in types.items()}
 

@@ -37,16 +37,12 @@ class RosaServices:
     def __init__(self, kb: KnowledgeBase, node: Node) -> None:
         self._kb = kb
         self._node = node
-        missing = []
-        for name, kind, answer in self._table():
-            respond = partial(self._answer, name, answer)
-            try:
+        try:
+            for name, kind, answer in self._table():
+                respond = partial(self._answer, name, answer)
                 node.serve(f"/rosa_kb/{name}", f"rosa_msgs/srv/{kind}", respond)
-            except RosError:  # this type is not installed
-                missing.append(name)
-        if missing:
-            names = ", ".join(missing)
-            _log.warning("not served under /rosa_kb/, as their types are not known: %s", names)
+        except RosError as error:  # rosa_msgs is not installed
+            _log.warning("ROSA's services are not served: %s", error)
 
     def _table(self) -> Iterator[tuple[str, str, Answer]]:
         """Yield each service: its name under `/rosa_kb/`, its type, and what answers a request."""
@@ -223,8 +219,7 @@ def parameter_messages(parameters: Mapping[str, Any]) -> list[Message]:
 def _value_message(value: Any) -> Message:  # noqa: ANN401  # of a parameter
     is_list = isinstance(value, list)
     example = (value or [0.0])[0] if is_list else value
-    kinds = type(example).__mro__  # numpy's numbers are subclasses of these
-    code, name = next(_BY_TYPE[kind] for kind in kinds if kind in _BY_TYPE)
+    code, name = next(_BY_TYPE[kind] for kind in _BY_TYPE if isinstance(example, kind))
     if is_list:
         return {"type": code + 5, f"{name}_array_value": value}
     return {"type": code, f"{name}_value": value}
