@@ -337,13 +337,8 @@ class Rosbridge(Node):
                 wait_s = _FIRST_WAIT_S
                 self._report(False, f"the connection to {self._url} has ended {reason}".rstrip())
                 continue
-            self._report(
-                False,
-                f"no connection to {self._url}: {reason}; "
-                f"it tries again, at last every {_LONGEST_WAIT_S:g} s"
-                ". "
-                "Is a rosbridge running there, and is the address (--url) right?",
-            )
+            advice = "is a rosbridge running there, and is the address (--url) right?"
+            self._report(False, f"no connection to {self._url}: {reason}; {advice}")
             self._closing.wait(wait_s)
             wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
 
@@ -355,8 +350,7 @@ class Rosbridge(Node):
         self._report(
             True,
             f"connected to {self._url}; "
-            "messages published there meanwhile are lost, ours are sent now"
-            f": {len(self._main.queue)}",
+            "messages published there meanwhile are lost, ours are sent now",
         )
 
     def _hear(self, message: Message) -> None:
