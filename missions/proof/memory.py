@@ -95,7 +95,7 @@ class Memory:
     def write(self, state: bytes) -> None:
         """Restore a state."""
         unpickler = pickle.Unpickler(BytesIO(state))
-        unpickler.persistent_load = self._objects.__getitem__  # type: ignore[method-assign]
+        unpickler.persistent_load = self._objects.__getitem__  # type: ignore[method-assign]  # also allowed
         for each, content in zip(self._stateful, unpickler.load(), strict=True):
             if isinstance(each, dict | set):
                 each.clear()
