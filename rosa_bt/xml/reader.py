@@ -16,7 +16,7 @@ from rosa_bt.decorators import Clock, ClockFollower, ForAction, Retry, UntilSucc
 from rosa_bt.exceptions import RegistryError, RosaBtError, XmlError, hint, in_words
 from rosa_bt.xml.blackboard import Blackboard, Declared, NodeError, Ports, convert, key_of
 from rosa_bt.xml.document import MARKS, Document, Element
-from rosa_bt.xml.nodes import NODES, RULES, Branch, Slot, is_plain
+from rosa_bt.xml.nodes import NODES, RULES, OneChild, Slot, is_plain
 from rosa_bt.xml.scripts import parse_script
 
 Factory = Callable[..., Behaviour]
@@ -154,7 +154,7 @@ class BehaviourRegistry:
         return None
 
 
-class SubTree(Branch, ClockFollower, is_node=False):
+class SubTree(OneChild, ClockFollower, is_node=False):
     """A tree of a file: below another tree, or as the root that is ticked.
 
     Attributes:
@@ -281,7 +281,7 @@ class _Builder:
                 where = f"write {key}=... with a value, or hand it to BehaviourRegistry"
                 raise NodeError(f"it needs a value for {key!r} when it is made; {where}")
         constants = Ports(arguments, literals, board)
-        branches = [Branch(slot.node.name, [slot]) for slot in slots]
+        branches = [OneChild(slot.node.name, [slot]) for slot in slots]
         roles: dict[str, Any] = {"name": name, "children": branches, "blackboard": board}
         roles.update(zip(entry.child_parameters, branches, strict=False))
         behaviour = entry.make(roles, {name: constants.get(name) for name in literals})
