@@ -28,11 +28,6 @@ _WHOLE = re.compile(r"-?\d+", re.ASCII)
 _NUMBER = re.compile(
     r"\s*[-+]?(?:inf|nan|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)", re.IGNORECASE | re.ASCII
 )
-BOOLS = {
-    **dict.fromkeys(("1", "true", "TRUE", "True"), True),
-    **dict.fromkeys(("0", "false", "FALSE", "False"), False),
-}
-
 _ANY = (None, Any, object)
 
 

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 from xml.parsers.expat import ExpatError, ParserCreate
 
 from rosa_bt.exceptions import XmlError, hint
-from rosa_bt.xml.blackboard import BOOLS, key_of
+from rosa_bt.xml.blackboard import key_of
 from rosa_bt.xml.nodes import RULES
 
 EXPLICIT = ("Action", "Condition", "Control", "Decorator")
@@ -123,7 +123,7 @@ def _convert(element: Element, trees: Container[str | None]) -> Iterator[str]:
         yield f"<{name}> is <{element.tag}>"
     for attribute, text in list(element.items()):
         renamed = _PORTS.get(f"{element.tag} {attribute}")
-        if renamed and BOOLS.get(text, True):
+        if renamed and text.lower() != "false":
             element.set(renamed, element.attrib.pop(attribute))
             yield f"{attribute} is {renamed}"
         elif element.tag == "SubTree" and attribute in element.ports and text[:1] != "{":
@@ -234,8 +234,6 @@ class Document:
         """Add what a file defines and includes; return its outermost element."""
         if root.tag != "root":
             raise root.error(f"the outermost element is <root>, not <{root.tag}>")
-        if len(root.findall("TreeNodesModel")) > 1:
-            raise root.error("a file has one TreeNodesModel; put all its elements into the first")
         is_old = self._is_version_3(root)
         trees = root.findall("BehaviorTree")
         if len(trees) == 1:
@@ -256,8 +254,6 @@ class Document:
                 for model in element.children:
                     if model.tag in MODELS:
                         self._add(self.models, model)
-                    else:
-                        self.note(model.where, f"<{model.tag}> means nothing in <TreeNodesModel>")
             elif element.tag == "include":
                 self._include(element, folder)
             else:

@@ -276,10 +276,6 @@ def test_leaves_of_ours_can_be_written():
         ('<water action="scann"/>', "did you mean 'scan'"),
         ('<water action="scan" plant="4"/>', "no port 'plant'; did you mean 'plants'?"),
         ('<water action="scan" plants="-1"/>', "cannot be made: OSError: no can"),
-        (
-            '<ForAction action="scan" timeout="0"><AlwaysSuccess/></ForAction>',
-            "a time-out is more than 0 s",
-        ),
         ("<IsActionFeasible/>", "<IsActionFeasible> has no action; write action=... in it"),
         ('<HasStatus element="scan" status="tired"/>', "is never tired"),
         ('<Measurement attribute="light" operator="=>" value="1"/>', "'=>' is not an operator"),
