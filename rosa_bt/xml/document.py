@@ -9,7 +9,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.parsers.expat import ExpatError, ParserCreate
 
-from rosa_bt.exceptions import XmlError, hint
+from rosa_bt.exceptions import XmlError
 from rosa_bt.xml.blackboard import key_of
 from rosa_bt.xml.nodes import RULES
 
@@ -188,11 +188,6 @@ class Document:
             (name,) = self.trees
         return name
 
-    def tree(self, name: str, asked_by: Element) -> Element:
-        if name not in self.trees:
-            raise asked_by.error(f"no tree has the ID {name!r}; {hint(name, self.trees, 'trees')}")
-        return self.trees[name]
-
     def _parse(self, text: str | bytes, file: str) -> Element:
         """Return the outermost element.
 
@@ -234,6 +229,8 @@ class Document:
         """Add what a file defines and includes; return its outermost element."""
         if root.tag != "root":
             raise root.error(f"the outermost element is <root>, not <{root.tag}>")
+        if len(root.findall("TreeNodesModel")) > 1:
+            raise root.error("a file has one TreeNodesModel; put all its elements into the first")
         is_old = self._is_version_3(root)
         trees = root.findall("BehaviorTree")
         if len(trees) == 1:
