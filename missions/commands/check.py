@@ -14,6 +14,7 @@ from typer import Argument, Exit, Option, echo
 from kb import KnowledgeBase, Model
 from kb.checks import Finding, finding_of, rules
 from kb.files import read_text
+from missions import SUMMARIES
 from missions.commands import FAILED, Text, Texts, complain, open_console, tree_builder
 from missions.engine.mission import Mission, MissionError, Percepts, built, find_mission
 from missions.engine.task_layer import mission_domain
@@ -144,6 +145,9 @@ def _place(domain: Domain, name: str) -> str:
 
 
 def _model_of(files: Sequence[Path], mission: Mission | None) -> Model:
+    for file in files:
+        if str(file) in SUMMARIES:
+            raise MissionError(f"{file} is a mission; check it with --mission {file}")
     if files:
         return Model.load(files)
     if mission is None:

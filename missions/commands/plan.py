@@ -47,10 +47,10 @@ def plan(
 ) -> None:
     """Plan, say why actions are out or why there is no plan, and exit with 0 if there is one."""
     named = find_mission(mission) if mission else None
-    if len(files or []) > 2 or (named and files):
-        raise MissionError(
-            "give either a domain and a problem file, or a mission with --mission NAME"
-        )
+    if len(files or []) != (0 if named else 2):
+        given = ", ".join(map(str, [*(files or []), *([mission] if mission else [])])) or "nothing"
+        advice = "give a domain and a problem file, or a mission with --mission NAME"
+        raise MissionError(f"{advice}, not {given}")
     if certificate and svg:
         raise MissionError("a certificate is many plans, and --svg draws one; leave out one")
     if failures is not None and not certificate:

@@ -18,10 +18,10 @@ from missions.engine.percepts import Message, failed, measured, recovered
 from missions.engine.settings import MissionError
 
 FORMS: Final = {
-    "fail": "COMPONENT@S",
-    "recover": "COMPONENT@S",
-    "measure": "ATTRIBUTE=VALUE@S",
-    "release": "ATTRIBUTE@S",
+    "fail": "COMPONENT@SECONDS",
+    "recover": "COMPONENT@SECONDS",
+    "measure": "ATTRIBUTE=VALUE@SECONDS",
+    "release": "ATTRIBUTE@SECONDS",
 }
 """How a fault is written after its verb, such as `fail boom@60`."""
 

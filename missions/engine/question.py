@@ -105,13 +105,7 @@ def ask(
         MissionError, KnowledgeBaseError, RosaPddlError: something is missing, unknown or cannot be
             read.
     """
-    if mission is not None:
-        domain = mission_domain(mission)
-    elif len(files) == 2:
-        domain = load_domain(*files)
-    else:
-        hint = "give a domain and a problem file, or a mission with --mission NAME"
-        raise MissionError(f"nothing to plan; {hint}")
+    domain = load_domain(*files) if mission is None else mission_domain(mission)
     assumed = [part.strip() for text in situation for part in text.split(",")]
     if not all(text.strip() for text in goals):
         hint = "give a condition such as '(found it)', or leave it out"

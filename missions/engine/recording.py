@@ -84,7 +84,8 @@ def _numbered(source: str | Path | Iterable[Message]) -> Iterator[tuple[str, Any
         lines = Path(source).read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise MissionError(f"cannot read the recording {source}: {reason}") from None
+        advice = "a recording has a JSON message in each line, or a name that ends in .mcap"
+        raise MissionError(f"cannot read the recording {source}: {reason}; {advice}") from None
     for number, line in enumerate(lines, start=1):
         try:
             if line.strip():

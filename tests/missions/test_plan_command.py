@@ -18,7 +18,7 @@ from rosa_pddl import Planner, Problem, initial_state, load_domain
 FOLDERS = {module.MISSION.name: module.__path__[0] for module in (suave, suave_extended)}
 DOMAIN, FILE = (f"{FOLDERS['suave_extended']}/{name}.pddl" for name in ("domain", "problem"))
 EXTENDED = f"{DOMAIN} {FILE}"
-NO_MISSION = "give either a domain and a problem file, or a mission"
+NO_MISSION = "give a domain and a problem file, or a mission"
 
 
 @pytest.fixture
@@ -169,7 +169,7 @@ def test_without_a_plan_only_the_json_is_written(rosa, tmp_path):
 @pytest.mark.parametrize(
     ("question", "message"),
     [
-        ("", "nothing to plan; give a domain and a problem file, or a mission with --mission"),
+        ("", "give a domain and a problem file, or a mission with --mission NAME, not nothing"),
         (f"{EXTENDED} more.pddl", NO_MISSION),
         (f"nowhere.pddl {FILE}", "nowhere.pddl: cannot read this PDDL file: No such file"),
         (f"{EXTENDED} --situation battery_level=0.2", "name its file with --model"),

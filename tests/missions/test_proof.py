@@ -177,7 +177,7 @@ def test_wrong_use_is_refused():
 ALONE = {  # no second failure, and time enough
     "suave": {"thruster_events": ""},
     "suave_extended": {"thruster_events": ""},
-    "uav": {"gripper_worn": "0", "samples": "2", "lanes": "3", "added_s": "0", "duration": "120"},
+    "uav": {"gripper_worn": "0", "samples": "2", "added_s": "0", "duration": "180"},
 }
 
 

@@ -92,7 +92,7 @@ def test_recorder_takes_diagnostics_in_every_form(tmp_path):
     assert recorder.refused.total() == 2
     messages = read_bag(tmp_path / "x.mcap").messages
     assert [message["time"] for message in messages] == [0.0, 0.0, 0.0, 7.0]
-    status = {"name": "gps: fix", "message": "2D", "values": {"HDOP": "0.5"}, "level": 1}
+    status = {**ARRAY["status"][0], "values": {"HDOP": "0.5"}}
     assert [message["status"] for message in messages] == [[status]] * 4
 
 
@@ -343,5 +343,5 @@ def test_disk_that_hangs_holds_up_nobody(tmp_path, monkeypatch):
     with pytest.raises(MissionError, match=r"cannot write .*hung.mcap: the disk does not answer"):
         file.close()
     answers.set()
-    file._thread.shutdown(wait=True)
+    file._thread.join()
     assert len(list(messages(tmp_path / "hung.mcap", Bag()))) == 1000
