@@ -106,13 +106,14 @@ class Recorder:
         self._what_if = what_if
         self._own = None
         if header is None:
-            self._own = AdaptationLog(kb, self.adapted, lambda: self._task_plans)
+            self._own = AdaptationLog(kb, self.adapted)
         self._elements = ElementTable(kb)
         self._standing: dict[tuple[int, str], bool | str] = {}
         self._events: deque[Event] = deque(maxlen=_REMEMBERED)
         self._supposed = self._adapted = self._planned = self._troubles = 0
         self._posed_at = -inf
         self._task_plans: list[Any] = []
+        self._unsettled: list[Any] = []  # those of these that were made since the last tick
         self._last_plans: dict[Any, Any] = {}  # by behaviour
         if isinstance(tree, Behaviour):
             raise MissionError(
@@ -157,8 +158,7 @@ class Recorder:
 
     def close(self) -> None:
         """Stop recording; the rows stay."""
-        if self._own is not None:
-            self._own.settle()
+        self._settle()
         self._stop()
         if self._tree is not None:
             self._tree.let_go()
@@ -193,7 +193,12 @@ class Recorder:
             self.suppose(time)
         if self._own is not None and self._tree is None:
             self._own.ticking(time)
-            self._own.settle()
+            self._settle()
+
+    def _settle(self) -> None:
+        if self._own is not None:
+            self._own.settle(self._unsettled)
+            self._unsettled = []
 
     def _look(self, time: float, event: Event | None = None) -> None:
         """Write rows for what an event has changed of any element, and why.
@@ -259,8 +264,8 @@ class Recorder:
 
     def ticking(self) -> None:
         """Begin a tick; the manager has been updated since the last one."""
+        self._settle()
         if self._own is not None:
-            self._own.settle()
             self._own.ticking(self.kb.now)
         with self.kb.reading():  # facts may be told by other threads than the one that ticks
             del self._task_plans[:-PLANS]
@@ -272,6 +277,7 @@ class Recorder:
                 self._last_plans[behaviour] = plan
                 self._planned += 1
                 self._task_plans.append(plan)
+                self._unsettled.append(plan)
                 shown = {name: getattr(plan, name) for name in ("engine", "reason", "message")}
                 shown |= {
                     "asked": plan.at_s,
@@ -522,7 +528,7 @@ class RunRecorder(Listener):
     def adaptation(self, adaptation: Adaptation) -> None:
         self.recorder.adapted(adaptation)
 
-    def sample(self, sample: Sample) -> None:
+    def sample(self, sample: Sample | None) -> None:
         self._sample = sample
         self._show()
 
