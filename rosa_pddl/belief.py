@@ -188,7 +188,7 @@ class Belief:
                 self._now = replace(self._now, numbers=numbers)
                 self._answer = dict(answer)
         except Exception as error:
-            error.add_note("this came of what `sense` returned or raised")
+            error.add_note("this came of what `sense`, or `facts` of a mission, returned or raised")
             raise
         return self.sensed
 

@@ -12,6 +12,7 @@ import time
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import Event, Lock
 from typing import Any, Final
 from weakref import WeakSet
@@ -38,7 +39,8 @@ class Cancelled(Exception):
 class EngineProcess:
     """A process that answers one question at a time; the next one starts it anew after a crash.
 
-    It leads its own process group, which is killed with it: no child survives.
+    It leads its own process group, which is killed with it, and works in a folder of its own, which
+    goes with it: no child and no file survives.
     """
 
     def __init__(self) -> None:
@@ -82,6 +84,7 @@ class EngineProcess:
         if self._process is not None and self._process.poll() is None:
             return self._process
         self._end()
+        self._folder = TemporaryDirectory(prefix="rosa-pddl-")
         settings = {
             "PYTHONPATH": os.pathsep.join(sys.path),
             "PYTHONWARNINGS": "ignore",
@@ -93,6 +96,7 @@ class EngineProcess:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
+            cwd=self._folder.name,
             env=os.environ | settings,
         )
         self._process = process
@@ -114,6 +118,7 @@ class EngineProcess:
         if process is not None:
             _kill(process)
             process.communicate()  # which closes its pipes
+            self._folder.cleanup()
 
     def __del__(self) -> None:
         self.close()

@@ -15,7 +15,6 @@ from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 Answer = dict[str, Any]
@@ -73,25 +72,26 @@ def fast_downward_command() -> tuple[str, ...]:
 
 
 def downward(engine: str, question: Mapping[str, Any]) -> Answer:
-    """Search with Fast Downward, as unified-planning's engine of the same name does."""
+    """Search with Fast Downward, as unified-planning's engine of the same name does.
+
+    Its files are in the current folder, which is this process's own.
+    """
     (options, search), solved = _DOWNWARD[engine]
-    with TemporaryDirectory(prefix="rosa-pddl-") as folder:
-        files = Path(folder)
-        (files / "domain.pddl").write_text(question["domain"])
-        (files / "problem.pddl").write_text(question["problem"])
-        limit = ["--overall-time-limit", f"{int(question['limit_s']) + 2}s", "--plan-file", "plan"]
-        command = [*fast_downward_command(), *limit, *options, "domain.pddl", "problem.pddl"]
-        ended = subprocess.run(
-            [*command, *search],
-            cwd=folder,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            check=False,
-        )
-        plan = files / "plan"
-        lines = plan.read_text().splitlines() if plan.exists() else []
-    if ended.returncode in (0, 1, 2, 3) and b"Plan length:" in ended.stdout:
+    Path("domain.pddl").write_text(question["domain"])
+    Path("problem.pddl").write_text(question["problem"])
+    plan = Path("plan")
+    plan.unlink(missing_ok=True)  # of the question before
+    limit = ["--overall-time-limit", f"{int(question['limit_s']) + 2}s", "--plan-file", "plan"]
+    files = ["domain.pddl", "problem.pddl"]
+    ended = subprocess.run(
+        [*fast_downward_command(), *limit, *options, *files, *search],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        check=False,
+    )
+    if ended.returncode in (0, 1, 2, 3) and plan.exists():
+        lines = plan.read_text().splitlines()
         words = [line.strip("()").split() for line in lines if line.startswith("(")]
         return answer_of(solved, plan=[[each[0], each[1:]] for each in words])
     outcome = _EXIT_CODES.get(ended.returncode, "engine crashed")

@@ -1,221 +1,76 @@
-"""The quadrotor, simulated by MuJoCo, its controller, and the constants with sources.
+"""The quadrotor, simulated by MuJoCo, and its controller.
 
-The controller is the usual cascade: position error to velocity, velocity error to acceleration, its
-direction to the tilt of the mast, tilt error to body rates, rate error to torques; the mixer turns
-torques into thrusts.
+World frame ENU, z up, ground at z = 0. The controller is the usual cascade: position error to
+velocity, velocity error to acceleration, its direction to the tilt of the mast, tilt error to body
+rates, rate error to torques; the mixer turns torques into thrusts.
 """
 
-import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from importlib.resources import files
+from pathlib import Path
 from typing import Any, Final
 
-from missions.engine.settings import Constants, setting
-from missions.uav.model import MOST_SAMPLES
+import numpy as np
+from numpy.typing import NDArray
 
-_OWN: Final = "own choice"
-_SHORT: Final = "own choice: small, so that a mission takes minutes"
-_CONTROL: Final = "own choice: common for a vehicle of this size"
-_SCENARIO: Final = "own choice, so that the paper's three scenarios occur"
+Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True)
-class Settings(Constants):
-    """The constants; frozen. World frame ENU, z up, ground at z = 0, base at the origin.
-
-    Times since the start.
-    """
-
-    # What happens
-    samples: float = setting(
-        7, "-", "number of samples that are wanted from the start", _OWN, 1, MOST_SAMPLES - 1
-    )
-    added_s: float = setting(
-        60.0, "s", "when an operator reports one more sample; 0: never", _SCENARIO
-    )
-    gripper_worn_s: float = setting(120.0, "s", "time after which a grip jams; 0: never", _SCENARIO)
-    jam_delay_s: float = setting(
-        3.0, "s", "longest time from such a grip to its jam", _SCENARIO, 0.1, 5
-    )
-
-    # The field
-    field_x_m: float = setting(
-        36.0, "m", "length of the field, eastward from the base", _OWN, 10, 90
-    )
-    lane_m: float = setting(6.0, "m", "distance between the lanes of the search", _OWN, 2, 10)
-    lanes: float = setting(
-        6, "-", "number of lanes; the middle third has no samples", _SCENARIO, 3, 9
-    )
-    sample_kg: float = setting(0.2, "kg", "mass of a sample", _OWN, 0, 0.5)
-
-    # Flight
-    physics_step_s: float = setting(
-        0.01, "s", "step of the physics; thrust is constant for two", _OWN, 0.001, 0.01
-    )
-    cruise_m: float = setting(5.0, "m", "height of search and travel", _OWN, 2, 20)
-    speed_m_s: float = setting(3.0, "m/s", "horizontal speed limit", _CONTROL, 0.5, 5)
-    climb_m_s: float = setting(1.5, "m/s", "vertical speed limit", _CONTROL, 0.2, 3)
-    rotor_limit_n: float = setting(8.0, "N", "largest thrust of one rotor", _CONTROL, 5.5, 20)
-    rotor_radius_m: float = setting(
-        0.127, "m", "radius of a propeller, for its power", "10 inch propeller", 0.05, 0.5
-    )
-    figure_of_merit: float = setting(
-        0.6, "-", "ideal divided by actual power of a hovering rotor", _CONTROL, 0.1, 1
-    )
-    drag: float = setting(0.3, "N s/m", "linear drag of the air", _CONTROL, 0, 1.1)
-    wind_m_s: float = setting(1.0, "m/s", "steady wind, from a random direction", _OWN, 0, 4)
-    gravity_m_s2: float = setting(9.81, "m/s2", "gravity", "standard gravity", 7, 12)
-    air_kg_m3: float = setting(
-        1.225, "kg/m3", "density of the air", "standard atmosphere at sea level", 0.5, 2
-    )
-
-    # Battery
-    capacity_j: float = setting(28000.0, "J", "energy of a full battery", _SHORT, 1000)
-    charge_s: float = setting(10.0, "s", "time to charge an empty battery", _SHORT, 0.1)
-    avionics_w: float = setting(5.0, "W", "power of the electronics that always run", _OWN)
-    pick_up_w: float = setting(40.0, "W", "power of gripper and analyser together", _OWN)
-    infrared_w: float = setting(5.0, "W", "power of the infra-red camera", _OWN)
-    battery_period_s: float = setting(0.5, "s", "period of the battery monitor", _OWN, 0.05, 5)
-
-    # Work
-    half_view_rad: float = setting(
-        0.66, "rad", "half of the sample camera's field of view", _OWN, 0.1, 1.4
-    )
-    grip_s: float = setting(1.0, "s", "time to grip a sample", _OWN, 0.1)
-    analysis_s: float = setting(6.0, "s", "time to analyse a held sample", _OWN, 0.1)
-    infrared_s: float = setting(4.0, "s", "time to analyse a sample in the infra-red", _OWN, 0.1)
-    infrared_quality: float = setting(
-        0.6, "-", "worth of an infra-red analysis; of a held sample it is 1", _OWN
-    )
-    fold_s: float = setting(1.5, "s", "time to fold or unfold the gripper", _OWN, 0.2)
-
-    # Switching
-    activation_s: float = setting(0.03, "s", "time to activate a component", "typical of ROS 2")
-    deactivation_s: float = setting(0.03, "s", "time to deactivate a component", "typical of ROS 2")
-
-
-Vector = tuple[float, float, float]
-
+# The vehicle, as in quadrotor.xml; own choice: common for a vehicle of this size
+ON_GROUND_M: Final = 0.35  # height of the vehicle's origin when it stands
 ARM_M: Final = 0.18  # from the centre to a rotor, along x and along y
 REACTION_M: Final = 0.016  # torque about the mast for each newton of thrust
-_ARMS_M, _REACTIONS_M = 4 * ARM_M, 4 * REACTION_M  # of all rotors
+ROTOR_LIMIT_N: Final = 8.0  # largest thrust of one rotor
+ROTOR_RADIUS_M: Final = 0.127  # 10 inch propeller
+FIGURE_OF_MERIT: Final = 0.6  # ideal divided by actual power of a hovering rotor
 INERTIA: Final = (0.021, 0.021, 0.036)  # about x, y, z [kg m2], the arm included
+FOLD_RAD_S: Final = math.pi / 3  # speed of the arm
 
+# The air
+GRAVITY_M_S2: Final = 9.81
+AIR_KG_M3: Final = 1.225  # standard atmosphere at sea level
+DRAG: Final = 0.3  # linear [N s/m]
+DAMPING: Final = (DRAG, DRAG, DRAG, 0.005, 0.005, 0.005)  # the last three: [N m s]
+
+# The controller; own choice: common for a vehicle of this size
+STEP_S: Final = 0.02  # its period: two steps of the physics
+CRUISE_M: Final = 5.0  # height of search and travel
+SPEED_M_S: Final = 3.0  # horizontal limit
+CLIMB_M_S: Final = 1.5  # vertical limit
 POSITION_GAIN: Final = 1.0  # [1/s]
 VELOCITY_GAIN: Final = 3.0  # [1/s]
-TILT_GAIN: Final = 8.0  # [1/s]
+TRIM_GAIN: Final = 1.0  # of the integral part [1/s2]
+TRIM_LIMIT: Final = 3.0  # [m/s2]; more than the strongest wind takes
+TURN_GAINS: Final = (8.0, 8.0, 2.0)  # of tilt and heading [1/s]
 RATE_GAIN: Final = 25.0  # [1/s]
-_STIFFNESS: Final = tuple(inertia * RATE_GAIN for inertia in INERTIA)
-YAW_GAIN: Final = 2.0  # [1/s]
+STIFFNESS: Final = RATE_GAIN * np.array(INERTIA)
 SIDEWAYS_M_S2: Final = 4.0  # largest horizontal acceleration that the controller wants
-VERTICAL_M_S2: Final = 4.0  # the same, upwards; downwards it is half of gravity
+UPWARDS_M_S2: Final = 4.0  # the same, upwards; downwards it is half of gravity
+STRAIGHT_M: Final = 0.6  # nearer than this it flies straight to a place, not at travelling height
+TOUCH_M: Final = 0.03  # lower than this, and slower than the next, it stands
+TOUCH_M_S: Final = 0.2
+
+_TURNING: Final = np.array([(1, -1, 1), (1, 1, -1), (-1, 1, 1), (-1, -1, -1)])  # of each rotor
 
 
-def velocity_wanted(position: Vector, target: Vector, speed: float, climb: float) -> Vector:
-    """Return the velocity [m/s] at which to approach a target [m], world frame.
-
-    Limits: `speed` is horizontal, `climb` vertical [m/s].
-    """
-    x = POSITION_GAIN * (target[0] - position[0])
-    y = POSITION_GAIN * (target[1] - position[1])
-    z = POSITION_GAIN * (target[2] - position[2])
-    far = math.hypot(x, y)
-    scale = speed / far if far > speed else 1.0
-    return x * scale, y * scale, _within(z, climb)
+def limited(vector: Array, sideways: float, down: float, up: float) -> Array:
+    """Return a vector (3,), its horizontal length and its height limited."""
+    x, y, z = vector.tolist()
+    scale = min(1.0, sideways / max(math.hypot(x, y), 1e-9))
+    return np.array((scale * x, scale * y, max(-down, min(up, z))))
 
 
-def wanted_force(error: Vector, trim: Vector, mass: float, gravity: float) -> Vector:
-    """Return the force of the rotors that corrects a velocity [N], world frame; always upwards.
-
-    Args:
-        error: wanted minus actual velocity [m/s], world frame.
-        trim: integral part of the controller, an acceleration [m/s2], world frame.
-        mass: of the vehicle [kg].
-        gravity: [m/s2].
-    """
-    x = VELOCITY_GAIN * error[0] + trim[0]
-    y = VELOCITY_GAIN * error[1] + trim[1]
-    z = VELOCITY_GAIN * error[2] + trim[2]
-    push = math.hypot(x, y)
-    scale = SIDEWAYS_M_S2 / push if push > SIDEWAYS_M_S2 else 1.0
-    lift = max(gravity / 2, gravity + (z if z < VERTICAL_M_S2 else VERTICAL_M_S2))
-    return mass * x * scale, mass * y * scale, mass * lift
-
-
-def attitude(quaternion: Sequence[float], rates: Vector, force: Vector) -> tuple[float, Vector]:
-    """Return thrust [N] and torques [N m], body frame, that turn the mast towards a force.
-
-    The torques also turn the nose to the east.
-
-    Args:
-        quaternion: attitude of the body, a unit quaternion (w, x, y, z).
-        rates: angular velocity [rad/s], body frame.
-        force: wanted force [N], world frame.
-    """
-    w, i, j, k = quaternion
-    east, north, up = force
-    size = math.sqrt(east * east + north * north + up * up)
-    # the body's x axis, to the east and to the north
-    nose = 1 - 2 * (j * j + k * k)
-    aside = 2 * (i * j + w * k)
-    thrust = (
-        2 * (i * k + w * j) * east + 2 * (j * k - w * i) * north + (1 - 2 * (i * i + j * j)) * up
-    )
-    forward = (nose * east + aside * north + 2 * (i * k - w * j) * up) / size
-    left = (
-        2 * (i * j - w * k) * east + (1 - 2 * (i * i + k * k)) * north + 2 * (j * k + w * i) * up
-    ) / size
-    # the turn from the mast (0, 0, 1) to the wanted direction, body frame; its sine, or 1 beyond a
-    # right angle
-    turn_x = -left
-    turn_y = forward
-    if thrust <= 0.0:
-        sine = math.hypot(left, forward)
-        turn_x, turn_y = (-left / sine, forward / sine) if sine > 0 else (1.0, 0.0)
-    return thrust, (
-        _STIFFNESS[0] * (TILT_GAIN * turn_x - rates[0]),
-        _STIFFNESS[1] * (TILT_GAIN * turn_y - rates[1]),
-        _STIFFNESS[2] * (-YAW_GAIN * math.atan2(aside, nose) - rates[2]),
-    )
-
-
-def mixed(thrust: float, torques: Vector, limit: float) -> list[float]:
-    """Return each rotor's thrust (4,) [N] for a whole thrust [N] and torques [N m], body frame.
+def mixed(thrust: float, torques: Array) -> Array:
+    """Return each rotor's thrust (4,) [N] for thrust [N] and torques (3,) [N m], body frame.
 
     If a rotor cannot give its thrust, lift is reduced before tilt: a vehicle that stays upright can
     fly on.
     """
-    x = torques[0] / _ARMS_M
-    y = torques[1] / _ARMS_M
-    z = torques[2] / _REACTIONS_M
-    z = _within(z, 0.1 * limit)  # heading matters least
-    turning = (x - y + z, x + y - z, -x + y + z, -x - y - z)
-    even = max(-min(turning), min(limit - max(turning), thrust / 4))
-    wanted = [even + share for share in turning]
-    return (
-        wanted
-        if min(wanted) >= 0.0 and max(wanted) <= limit
-        else [max(0.0, min(limit, thrust)) for thrust in wanted]
-    )
-
-
-def _within(value: float, limit: float) -> float:
-    return (
-        -limit if value < -limit else limit if value > limit else value
-    )  # three times as fast as min and max
-
-
-_log = logging.getLogger(__name__)
-ON_GROUND_M: Final = 0.35
-"""Height of the vehicle's origin when it stands [m]."""
-SUBSTEPS: Final = 2
-"""Number of physics steps for which the thrust is constant."""
-STRAIGHT_M: Final = 0.6  # nearer than this it flies straight to a place, not at travelling height
-TRIM_GAIN: Final = 1.0  # [1/s2]
-TRIM_LIMIT: Final = 3.0  # [m/s2]; more than the strongest drag and wind of the settings take
-TOUCH_M, TOUCH_M_S = 0.03, 0.2  # lower and slower than this, it stands
+    x, y, z = torques.tolist()
+    heading = max(-0.1 * ROTOR_LIMIT_N, min(0.1 * ROTOR_LIMIT_N, z / 4 / REACTION_M))
+    turning = _TURNING @ (x / 4 / ARM_M, y / 4 / ARM_M, heading)
+    even = max(-turning.min(), min(ROTOR_LIMIT_N - turning.max(), thrust / 4))
+    thrusts: Array = (even + turning).clip(0.0, ROTOR_LIMIT_N)
+    return thrusts
 
 
 class Quadrotor:
@@ -230,61 +85,47 @@ class Quadrotor:
         position: (x, y, z) [m], world frame, z is 0.35 m on the ground.
         velocity: (x, y, z) [m/s], world frame.
         is_landed: whether it stands on the ground with its rotors off.
+        is_folding: whether the arm is to be folded.
         rotor_w: power of the rotors [W].
         has_power: whether there is power for the rotors.
     """
 
-    def __init__(self, settings: Settings, wind: tuple[float, float]) -> None:
+    def __init__(self, wind: tuple[float, float]) -> None:
         import mujoco  # takes long, and listing missions does not need it
 
-        mujoco.set_mju_user_warning(
-            _log.debug
-        )  # its own handler prints, and writes a file into the working directory
-        self._settings = settings
-        self._step_s = SUBSTEPS * settings.physics_step_s
-        self._advance = mujoco.mj_step
-        self.model: Any = _compiled(mujoco, settings)
+        path = Path(__file__).with_name("quadrotor.xml")
+        self._mujoco: Any = mujoco
+        self.model: Any = mujoco.MjModel.from_xml_path(str(path))
+        self.model.dof_damping[:6] = DAMPING
+        self._mass = float(self.model.body_subtreemass[0])  # without load
         self.data: Any = mujoco.MjData(self.model)
-        self._qpos = self.data.qpos
-        self._qvel = self.data.qvel
-        self._ctrl = self.data.ctrl
-        self._mass = float(self.model.body_subtreemass[0])
-        self.data.qfrc_applied[:2] = settings.drag * wind[0], settings.drag * wind[1]
-        area = math.pi * settings.rotor_radius_m**2
-        self._watts = 1 / (settings.figure_of_merit * math.sqrt(2 * settings.air_kg_m3 * area))
-        self._target: Vector | None = None
-        self._lands = False
-        self._trim = (0.0, 0.0, 0.0)
-        self._arm = 0.0
-        self._arm_wanted = 0.0
-        self.position: Vector = (0.0, 0.0, ON_GROUND_M)
-        self.velocity: Vector = (0.0, 0.0, 0.0)
-        self._turned = self._qpos[3:7].tolist()
-        self._rates = self.velocity
+        self.data.qfrc_applied[:2] = DRAG * wind[0], DRAG * wind[1]
+        self._target: Array | None = None
+        self._trim = np.zeros(3)
+        self._turn = np.zeros(9)
+        self.position: Array = np.array(self.data.qpos[:3])
+        self.velocity: Array = np.zeros(3)
         self.is_landed = True
+        self.is_folding = True
         self.rotor_w = 0.0
         self.has_power = True
 
-    def go_to(self, target: Vector) -> None:
-        """Fly to a place [m], world frame; at travelling height unless the place is near."""
-        self._target = target
-        self._lands = False
+    def go_to(self, target: Sequence[float]) -> None:
+        """Fly to a place [m], world frame; at travelling height unless it is near.
+
+        The vehicle lands on a place below its height on the ground.
+        """
+        self._target = np.array(target)
 
     def hold(self) -> None:
         """Hover at the present position; on the ground, stay there."""
         self._target = None if self.is_landed else self.position
-        self._lands = False
 
     def land(self, at: tuple[float, float] | None = None) -> None:
         """Land at (x, y) [m], world frame, or right below; rotors stop on the ground."""
         if self.is_landed and at is None:
             return
-        x, y = at or self.position[:2]
-        self._target = (x, y, 0.0)
-        self._lands = True
-
-    def fold(self, is_folded: bool) -> None:
-        self._arm_wanted = 0.0 if is_folded else math.pi / 2
+        self.go_to((*(at or self.position[:2]), 0.0))
 
     def carry(self, mass: float) -> None:
         """Set the mass of the load in the gripper [kg]; 0 for none."""
@@ -297,89 +138,59 @@ class Quadrotor:
     @property
     def altitude(self) -> float:
         """Height of the legs above the ground [m]."""
-        return self.position[2] - ON_GROUND_M
+        return float(self.position[2]) - ON_GROUND_M
 
     @property
     def arm_rad(self) -> float:
         """Angle of the arm, 0 when folded, half pi when unfolded [rad]."""
         return float(self.data.qpos[7])
 
-    def is_near(self, target: Vector, within: float) -> bool:
+    def is_near(self, target: Sequence[float], within: float) -> bool:
         """Tell whether the vehicle is slow, and within a distance [m] of a place [m]."""
         return math.dist(self.position, target) <= within and math.hypot(*self.velocity) < 0.4
 
     def step(self) -> None:
         """Compute the thrusts and advance by one control period."""
-        thrusts = (
-            self._thrusts(self._step_s)
-            if self._target is not None and self.has_power
-            else [0.0] * 4
-        )
-        if self._arm != self._arm_wanted:
-            turn = math.pi / 2 / self._settings.fold_s * self._step_s
-            self._arm += max(-turn, min(turn, self._arm_wanted - self._arm))
-        self._ctrl[:4] = thrusts
-        self._ctrl[4] = self._arm
-        self._advance(self.model, self.data, SUBSTEPS)
-        a, b, c, d = thrusts
-        self.rotor_w = self._watts * (
-            a * math.sqrt(a) + b * math.sqrt(b) + c * math.sqrt(c) + d * math.sqrt(d)
-        )
-        x, y, z, a, b, c, d, *_ = self._qpos.tolist()
-        u, v, w, roll, pitch, yaw, *_ = self._qvel.tolist()
-        self.position = (x, y, z)
-        self.velocity = (u, v, w)
-        self._turned = (a, b, c, d)
-        self._rates = (roll, pitch, yaw)
-        self.is_landed = z - ON_GROUND_M < TOUCH_M and self._touches_down(thrusts)
+        is_flying = self._target is not None and self.has_power
+        thrusts = self._thrusts() if is_flying else np.zeros(4)
+        arm = self.data.ctrl[4] + FOLD_RAD_S * STEP_S * (-1 if self.is_folding else 1)
+        self.data.ctrl[:] = (*thrusts, max(0.0, min(math.pi / 2, arm)))
+        self._mujoco.mj_step(self.model, self.data, 2)
+        area = math.pi * ROTOR_RADIUS_M**2
+        ideal_w = (thrusts**1.5).sum() / math.sqrt(2 * AIR_KG_M3 * area)
+        self.rotor_w = float(ideal_w) / FIGURE_OF_MERIT
+        self.position = np.array(self.data.qpos[:3])
+        self.velocity = np.array(self.data.qvel[:3])
+        self.is_landed = self.altitude < TOUCH_M and self._touches_down(thrusts)
 
-    def _touches_down(self, thrusts: list[float]) -> bool:
-        here = self.position[:2]
-        is_above = math.dist(here, (self._target or here)[:2]) < STRAIGHT_M
-        if self._lands and is_above and math.hypot(*self.velocity) < TOUCH_M_S:
-            self._target = None
-            self._lands = False
-            self._trim = (0.0, 0.0, 0.0)
-        return self._target is None and not any(thrusts)
+    def _touches_down(self, thrusts: Array) -> bool:
+        if self._target is not None and self._target[2] < ON_GROUND_M:
+            is_above = math.dist(self.position[:2], self._target[:2]) < STRAIGHT_M
+            if is_above and math.hypot(*self.velocity) < TOUCH_M_S:
+                self._target = None
+                self._trim = np.zeros(3)
+        return self._target is None and not thrusts.any()
 
-    def _thrusts(self, step_s: float) -> list[float]:
-        settings = self._settings
-        u, v, w = self.velocity
-        east, north, up = velocity_wanted(
-            self.position, self._aim(), settings.speed_m_s, settings.climb_m_s
-        )
-        error = (east - u, north - v, up - w)
-        moved = [
-            trim + TRIM_GAIN * _within(off, 1.0) * step_s
-            for trim, off in zip(self._trim, error, strict=True)
-        ]
-        x, y, z = [_within(trim, TRIM_LIMIT) for trim in moved]
-        self._trim = trim = (x, y, z)
-        force = wanted_force(error, trim, self._mass, settings.gravity_m_s2)
-        return mixed(*attitude(self._turned, self._rates, force), settings.rotor_limit_n)
+    def _thrusts(self) -> Array:
+        way = POSITION_GAIN * (self._aim() - self.position)
+        error = limited(way, SPEED_M_S, CLIMB_M_S, CLIMB_M_S) - self.velocity
+        trim = self._trim + TRIM_GAIN * STEP_S * error.clip(-1.0, 1.0)
+        self._trim = trim.clip(-TRIM_LIMIT, TRIM_LIMIT)
+        wanted = VELOCITY_GAIN * error + self._trim
+        push = limited(wanted, SIDEWAYS_M_S2, GRAVITY_M_S2 / 2, UPWARDS_M_S2)
+        push[2] += GRAVITY_M_S2
+        self._mujoco.mju_quat2Mat(self._turn, self.data.qpos[3:7])
+        axes = self._turn.reshape(3, 3)  # of the body, as columns
+        forward, left, up = push @ axes
+        size = math.hypot(*push)
+        heading = math.atan2(axes[1, 0], axes[0, 0])
+        turns = np.array((-left / size, forward / size, -heading))
+        return mixed(self._mass * up, STIFFNESS * (TURN_GAINS * turns - self.data.qvel[3:6]))
 
-    def _aim(self) -> Vector:
+    def _aim(self) -> Array:
         """Return the point to fly to now: first up, then along, then down."""
         assert self._target is not None
-        x, y, z = self.position
-        to_x, to_y, _ = self._target
-        cruise = self._settings.cruise_m
-        if math.hypot(to_x - x, to_y - y) <= STRAIGHT_M:
+        if math.dist(self.position[:2], self._target[:2]) <= STRAIGHT_M:
             return self._target
-        is_low = z - ON_GROUND_M < cruise - 2.0
-        return x if is_low else to_x, y if is_low else to_y, cruise + ON_GROUND_M
-
-
-def _compiled(mujoco: Any, settings: Settings) -> Any:  # noqa: ANN401  # MuJoCo ships no types
-    spec = mujoco.MjSpec.from_string(
-        (files("missions.uav") / "quadrotor.xml").read_text(encoding="utf-8")
-    )
-    spec.option.timestep = settings.physics_step_s
-    spec.option.gravity = (0, 0, -settings.gravity_m_s2)
-    for number in range(1, 5):
-        spec.actuator(f"rotor_{number}").ctrlrange = (0, settings.rotor_limit_n)
-    model = spec.compile()
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # what is lost stays lost
-    model.dof_damping[:3] = settings.drag
-    model.dof_damping[3:6] = 0.005
-    return model
+        x, y, _ = self.position if self.altitude < CRUISE_M - 2 else self._target
+        return np.array((x, y, CRUISE_M + ON_GROUND_M))

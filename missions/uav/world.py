@@ -4,7 +4,7 @@ Each component acts 10 times a second while it is active. When a component that 
 stops, the vehicle hovers where it is: the safe state between two actions.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import cos, dist, hypot, inf, pi, sin, tan
 from typing import Any, Final
@@ -24,253 +24,170 @@ from missions.engine.mission import (
     Verdict,
     WorldKind,
 )
-from missions.engine.settings import declared
-from missions.uav.model import ANALYSE_LEVEL, PICK_UP_LEVEL, SEARCH_LEVEL
+from missions.engine.settings import Constants, declared, setting
+from missions.uav.model import ANALYSE_LEVEL, MOST_SAMPLES, PICK_UP_LEVEL, SEARCH_LEVEL
 from missions.uav.tree import analysed, is_all_analysed
-from missions.uav.vehicle import ON_GROUND_M, SUBSTEPS, Quadrotor, Settings
+from missions.uav.vehicle import CRUISE_M, ON_GROUND_M, STEP_S, Quadrotor
 
-PERIOD_S: Final = 0.1  # period of the components
-GRIP_M: Final = 0.12  # height of the legs from which the gripper reaches the ground
-LIFT_M: Final = 2.5  # height at which a held sample is analysed
-LOOK_M: Final = 2.0  # height from which the infra-red camera looks
-FOLDED_RAD: Final = 0.15  # out of the camera's view; folded at half of this, for gusts
-FULL: Final = 0.99
-MOVERS: Final = (
-    "search_planner",
-    "pick_up_planner",
-    "hover_planner",
-    "return_planner",
-    "landing_planner",
-)
+_OWN: Final = "own choice"
+_SCENARIO: Final = "own choice, so that the paper's three scenarios occur"
+
+# The constants below are own choices, too.
+PERIOD_S: Final = 0.1  # of the components
+BATTERY_PERIOD_S: Final = 0.5  # of the battery monitor
+
+FIELD_M: Final = 36.0  # length of the field, eastward from the base, which is the origin
+LANE_M: Final = 6.0  # distance between the lanes of the search
+PATCHES: Final = (0, 1, 4, 5)  # the lanes in which samples lie
 OFF_LANE_M: Final = 2.0  # how far from the middle of its lane a sample may lie
+HALF_VIEW_RAD: Final = 0.66  # half of the sample camera's field of view
+
+GRIP_M: Final = 0.12  # height of the legs from which the gripper reaches the ground
+GRIP_S: Final = 1.0  # time to grip a sample
+JAM_DELAY_S: Final = 3.0  # longest time from the grip of a worn gripper to its jam
+SAMPLE_KG: Final = 0.2
+LIFT_M: Final = 2.5  # height at which a held sample is analysed
+ANALYSIS_S: Final = 6.0  # time to analyse it
+LOOK_M: Final = 2.0  # height from which the infra-red camera looks
+LOOK_S: Final = 4.0  # time to analyse a sample in the infra-red
+LOOK_QUALITY: Final = 0.6  # worth of this analysis; of a held sample it is 1
+UNFOLDED_RAD: Final = 1.2
+FOLDED_RAD: Final = 0.15  # out of the camera's view; folded at half of this, for gusts
+
+FULL: Final = 0.99
+CHARGE_S: Final = 10.0  # time to charge an empty battery; short, as a mission takes minutes
+AVIONICS_W: Final = 5.0  # power of the electronics that always run
+POWERS_W: Final = {"gripper": 20.0, "analyser": 20.0, "infrared_camera": 5.0}
 LEVELS: Final = {
     PICK_UP_LEVEL: "picking up a sample needs",
     SEARCH_LEVEL: "searching needs",
     ANALYSE_LEVEL: "analysing on site needs",
 }
+MOVERS: Final = {
+    "search_planner",
+    "pick_up_planner",
+    "hover_planner",
+    "return_planner",
+    "landing_planner",
+}  # the components that move the vehicle
+
+
+@dataclass(frozen=True, slots=True)
+class Settings(Constants):
+    """What can be set. Times since the start."""
+
+    samples: float = setting(
+        7, "-", "number of samples that are wanted from the start", _OWN, 1, MOST_SAMPLES - 1
+    )
+    added_s: float = setting(
+        60.0, "s", "when an operator reports one more sample; 0: never", _SCENARIO
+    )
+    gripper_worn_s: float = setting(120.0, "s", "time after which a grip jams; 0: never", _SCENARIO)
+    wind_m_s: float = setting(1.0, "m/s", "steady wind, from a random direction", _OWN, 0, 4)
+    capacity_j: float = setting(28000.0, "J", "energy of a full battery", _OWN, 1000)
+    switching_s: float = setting(
+        0.03, "s", "time to activate or deactivate a component", "typical of ROS 2"
+    )
 
 
 @dataclass(slots=True)
 class Sample:
-    """Something to be analysed."""
+    """Something to be analysed.
 
-    name: str  # "sample_1" and so on
-    place: tuple[float, float]  # (x, y) [m], world frame
-    wanted_s: float = 0.0  # from when on it is wanted [s]
-    is_reported: bool = False  # reported by an operator; it goes before those that the camera found
-    is_wanted: bool = False
-    is_found: bool = False  # its place is known
-    quality: float | None = None  # of its analysis, up to 1; None before it
+    Attributes:
+        place: (x, y) [m], world frame.
+        is_reported: by an operator; it goes before those that the camera found.
+        is_found: whether its place is known.
+    """
+
+    name: str
+    place: tuple[float, float]
+    is_reported: bool
+    is_found: bool
+    is_analysed: bool = False
 
 
-class UavWorld(mission.World):
-    """The vehicle over its field, and the state that its components share.
+class UavWorld(NamedComponents, mission.World):
+    """The vehicle over its field, and what its components do while they are active.
 
     Time moves only in `advance`; the same settings and seed give the same floats. Random are the
     places of the samples, the wind, the phase of the battery monitor, and the jam. The field
-    consists of lanes along the x axis; samples lie in two patches, and the middle third of the
-    lanes has none.
+    consists of lanes along the x axis; samples lie in two patches.
 
     Attributes:
         level: charge of the battery, 0 to 1.
-        samples: all samples, also those that are not wanted yet.
+        samples: all samples that are wanted by now.
         target: the sample to analyse next; None while none waits.
-        jams_s: when the gripper jams [s].
-        pick_ups: how many samples were lifted.
-        recharges: how often the battery was charged until it was full.
-        qualities: worth of each analysis that was done.
-        messages: what was published, until it is taken away.
+        held: the sample in the gripper.
+        is_jammed: whether the gripper is.
     """
 
     now = 0.0
 
     def __init__(self, settings: Settings, rng: Generator) -> None:
-        self.settings = settings
-        self.rng = rng
+        super().__init__()
+        self._settings = settings
+        self._rng = rng
         bearing = rng.uniform(0, 2 * pi)
-        self._battery_due = float(rng.uniform(0, settings.battery_period_s))
-        self.vehicle = Quadrotor(
-            settings, (settings.wind_m_s * cos(bearing), settings.wind_m_s * sin(bearing))
-        )
-        self._steps = 0
-        self._step_s = SUBSTEPS * settings.physics_step_s
-        self._nodes_due = 0.0
+        self._battery_due = rng.uniform(0, BATTERY_PERIOD_S)
+        self._components_due = 0.0
+        wind = settings.wind_m_s
+        self.vehicle = Quadrotor((wind * cos(bearing), wind * sin(bearing)))
+        self._acts = {
+            "search_planner": self._search,
+            "sample_camera": self._see_samples,
+            "pick_up_planner": lambda: self._approach(LIFT_M if self.held else GRIP_M),
+            "gripper": self._grip,
+            "analyser": self._analyse,
+            "hover_planner": lambda: self._approach(LOOK_M),
+            "infrared_camera": self._look,
+            "return_planner": self._return,
+            "landing_planner": lambda: None,
+            "folding_servo": self._fold,
+        }
+        takes = dict.fromkeys(("activate", "deactivate"), settings.switching_s)
+        self._managed = SimulatedComponents(lambda: self.now, self, takes)
+        self._path: list[tuple[float, float]] = []
         self._flown_m = 0.0
         self._least = 1.0
+        self._is_charging = False
+        self._recharges = 0
+        self._worked_s = 0.0
+        self._pick_ups = 0
+        self._qualities: list[float] = []
+        self._messages: list[Message] = []
+        self._happened: list[tuple[float, str]] = []
         self.level = 1.0
-        self.jams_s = inf
+        self.is_jammed = False
+        self._jams_s = inf
+        self._is_folded = True
+        self.samples: list[Sample] = []
         self.target: Sample | None = None
         self.held: Sample | None = None
-        self.is_jammed = self.is_charging = False
-        self.pick_ups = self.recharges = 0
-        self.qualities: list[float] = []
-        self.messages: list[Message] = []
-        self._happened: list[tuple[float, str]] = []
-        every = int(settings.lanes)
         count = int(settings.samples)
-        lanes = [index for index in range(every) if not every // 3 <= index < every - every // 3]
-        places = [self._place(lanes[number * len(lanes) // count]) for number in range(count)]
-        self.samples = [
-            Sample(f"sample_{number}", place) for number, place in enumerate(places, start=1)
-        ]
-        added = Sample(
-            f"sample_{count + 1}", self._place(lanes[0]), settings.added_s, is_reported=True
-        )
-        self.samples += [added] if settings.added_s > 0 else []
-        self._places = {sample.name: [sample.place] for sample in self.samples}
-        self._nodes = Nodes(self)
-        takes = {"activate": settings.activation_s, "deactivate": settings.deactivation_s}
-        self._managed = SimulatedComponents(lambda: self.now, self._nodes, takes)
-        self.want()
-        self.say("gripper_folded")
+        for number in range(count):
+            self.want(self._place(PATCHES[number * len(PATCHES) // count]))
+        self._added = self._place(PATCHES[0])
+        self._added_s = settings.added_s or inf
+        self._say("gripper_folded")
         self.publish("QA measurement", "battery_level", "1.0")
 
     @property
     def managed(self) -> SimulatedComponents:
         return self._managed
 
-    def publish(self, message: str, key: str, value: str) -> None:
-        """Publish a key and its value, in a message with this text."""
-        status = {"name": "uav", "message": message, "values": {key: value}}
-        self.messages.append({"time": self.now, "status": [status]})
-
-    def say(self, key: str, holds: bool = True) -> None:
-        """Publish whether something holds."""
-        self.publish(MISSION_STATUS, key, str(holds).lower())
-
-    def disturb(self, text: str) -> None:
-        """Record what truly happened, for `disturbances`."""
-        self._happened.append((self.now, text))
-
-    def _lane_y(self, lane: int) -> float:
-        return (lane + 0.5) * self.settings.lane_m
-
-    def _place(self, lane: int) -> tuple[float, float]:
-        x = self.rng.uniform(0.1, 0.95) * self.settings.field_x_m
-        off = self.rng.uniform(-OFF_LANE_M, OFF_LANE_M)
-        return float(x), self._lane_y(lane) + float(off)
-
-    @property
-    def path(self) -> list[tuple[float, float]]:
-        """Corners (x, y) of the way along all lanes, to and fro [m], world frame."""
-        ends = (0.0, self.settings.field_x_m)
-        lanes = range(int(self.settings.lanes))
-        return [
-            (x, self._lane_y(lane))
-            for lane in lanes
-            for x in (ends if lane % 2 == 0 else ends[::-1])
-        ]
-
-    def want(self) -> None:
-        """Mark and publish the samples that are wanted from now on."""
-        for sample in self.samples:
-            if sample.is_wanted or sample.wanted_s > self.now:
-                continue
-            sample.is_wanted = True
-            self.say(f"{sample.name}_wanted")
-            if sample.is_reported:
-                sample.is_found = True
-                self.disturb(f"an operator reports {sample.name}")
-                self.say(f"{sample.name}_found")
-
-    def aim(self) -> None:
-        """Choose the next target if there is none: reported ones first, then the nearest."""
-        if self.target is not None:
-            return
-        place = self.vehicle.position[:2]
-        waiting = [sample for sample in self.samples if sample.is_found and sample.quality is None]
-        if waiting:
-            self.target = min(
-                waiting, key=lambda sample: (not sample.is_reported, dist(sample.place, place))
-            )
-            self.say(f"{self.target.name}_target")
-
-    def approach(self, height: float) -> None:
-        """Fly to where the legs are at a height above the target [m], if there is one."""
-        if self.target is not None:
-            self.vehicle.go_to(self.over(self.target, height))
-
-    def over(self, sample: Sample, height: float) -> tuple[float, float, float]:
-        """Return the place where the legs are at a height above a sample [m], world frame."""
-        return (*sample.place, ON_GROUND_M + height)
-
-    def let_go(self) -> None:
-        """Drop the held sample, if any; it lies where it falls."""
-        if self.held is not None:
-            self.held.place = self.vehicle.position[:2]
-            self.held = None
-            self.vehicle.carry(0.0)
-
-    def analysed(self, quality: float) -> None:
-        """Record that the target is analysed, with a quality up to 1."""
-        if self.target is not None:
-            self.target.quality = quality
-            self.qualities.append(quality)
-            self.say(f"{self.target.name}_analysed")
-            self.say(f"{self.target.name}_target", False)
-            self.target = None
-
-    def advance(self, until: float) -> list[Message]:
-        """Simulate until something is published or switched, at most to the time `until` [s]."""
-        is_changed = bool(self.messages)
-        while not is_changed and (self._steps + 1) * self._step_s <= until + 1e-9:
-            self._steps += 1
-            self.now = self._steps * self._step_s
-            self._step()
-            is_changed = self._managed.catch_up() or bool(self.messages)
-        if not is_changed:
-            self.now = until
-        messages = self.messages
-        self.messages = []
-        return messages
-
-    def _step(self) -> None:
-        before = self.vehicle.position
-        self.vehicle.step()
-        self._flown_m += dist(before, self.vehicle.position)
-        self._drain()
-        if self.now >= self._nodes_due - 1e-9:
-            self._nodes_due += PERIOD_S
-            self.want()
-            self._nodes.act()
-            self.aim()
-        if self.now >= self._battery_due - 1e-9:
-            self._battery_due += self.settings.battery_period_s
-            self.publish("QA measurement", "battery_level", repr(self.level))
-
-    def _drain(self) -> None:
-        """Charge and discharge the battery for one step; record each level that it falls below."""
-        settings = self.settings
-        before = self.level
-        step_s = self._step_s
-        watts = self.vehicle.rotor_w + settings.avionics_w + self._nodes.watts
-        gained = step_s / settings.charge_s if self.is_charging else 0.0
-        level = before + gained - watts * step_s / settings.capacity_j
-        self.level = level = 0.0 if level < 0.0 else 1.0 if level > 1.0 else level
-        if level < self._least:
-            self._least = level
-        for least, what in LEVELS.items():
-            if before >= least > level:
-                self.disturb(f"the battery fell below {least:g}, which {what}")
-        if level == 0.0 and before > 0.0:
-            self.vehicle.has_power = False
-            self.disturb("the battery is empty")
-            self.say("battery_empty")
-
     @property
     def is_still(self) -> bool:
-        """Whether nothing more can happen: the battery is empty, and all samples are wanted."""
-        return not (self.vehicle.has_power or self.is_charging) and all(
-            sample.is_wanted for sample in self.samples
-        )
+        """Whether nothing more can happen: the battery is empty, and no sample will be added."""
+        return not (self.vehicle.has_power or self._is_charging) and self._added_s == inf
 
     def results(self) -> dict[str, float | None]:
         return {
-            "analysed_samples": float(len(self.qualities)),
-            "quality_points": sum(self.qualities),
-            "wanted_samples": float(sum(sample.is_wanted for sample in self.samples)),
-            "lifted_samples": float(self.pick_ups),
-            "recharged_times": float(self.recharges),
+            "analysed_samples": float(len(self._qualities)),
+            "quality_points": sum(self._qualities),
+            "wanted_samples": float(len(self.samples)),
+            "lifted_samples": float(self._pick_ups),
+            "recharged_times": float(self._recharges),
             "flown_m": self._flown_m,
             "least_charge_percent": 100 * self._least,
         }
@@ -282,58 +199,104 @@ class UavWorld(mission.World):
             "rotors [W]": self.vehicle.rotor_w,
             "gripper [deg]": self.vehicle.arm_rad * 180 / pi,
         }
-        return mission.Sample(self.now, self.vehicle.position, signals)
+        x, y, z = self.vehicle.position.tolist()
+        return mission.Sample(self.now, (x, y, z), signals)
 
     def disturbances(self) -> list[tuple[float, str]]:
         return list(self._happened)
 
     def scenery(self) -> Mapping[str, Any]:
-        return {
-            "base": [(0.0, 0.0)],
-            **{name.replace("_", " "): place for name, place in self._places.items()},
-        }
+        places = {sample.name.replace("_", " "): [sample.place] for sample in self.samples}
+        return {"base": [(0.0, 0.0)], **places}
 
+    # ------------------------------------------------------------ what happens
 
-class Nodes(NamedComponents):
-    """The components, and what each does while it is active; a change takes effect at once.
+    def advance(self, until: float) -> list[Message]:
+        """Simulate until something is published or switched, at most to the time `until` [s]."""
+        while not self._messages:
+            if self.now + STEP_S > until + 1e-9:
+                self.now = until
+                break
+            self.now += STEP_S
+            self._step()
+            if self._managed.catch_up():
+                break
+        messages = self._messages
+        self._messages = []
+        return messages
 
-    Attributes:
-        watts: power of the active components [W].
-    """
+    def publish(self, message: str, key: str, value: str) -> None:
+        """Publish a key and its value, in a message with this text."""
+        status = {"name": "uav", "message": message, "values": {key: value}}
+        self._messages.append({"time": self.now, "status": [status]})
 
-    def __init__(self, robot: UavWorld) -> None:
-        super().__init__()
-        self._robot = robot
-        self._ahead = robot.path
-        half_w = robot.settings.pick_up_w / 2
-        self._acts: dict[str, Callable[[], None]] = {
-            "search_planner": self._search,
-            "sample_camera": self._see_samples,
-            "pick_up_planner": self._pick_up,
-            "gripper": self._grip,
-            "analyser": self._analyse,
-            "hover_planner": lambda: robot.approach(LOOK_M),
-            "infrared_camera": self._look,
-            "return_planner": self._return,
-            "landing_planner": lambda: None,
-            "folding_servo": self._fold,
-        }
-        self._powers_w = {
-            "gripper": half_w,
-            "analyser": half_w,
-            "infrared_camera": robot.settings.infrared_w,
-        }
-        self.watts = 0.0
-        self._worked_s = dict.fromkeys(self._acts, 0.0)
-        self._done: set[str] = (
-            set()
-        )  # components that have reported, since they became active, that they are
+    def _say(self, key: str, holds: bool = True) -> None:
+        self.publish(MISSION_STATUS, key, str(holds).lower())
 
-    def act(self) -> None:
-        """Let the active components act; called once a period."""
-        for name, act in self._acts.items():
-            if name in self.active:
+    def _disturb(self, text: str) -> None:
+        self._happened.append((self.now, text))
+
+    def _place(self, lane: int) -> tuple[float, float]:
+        x = self._rng.uniform(0.1, 0.95) * FIELD_M
+        off = self._rng.uniform(-OFF_LANE_M, OFF_LANE_M)
+        return x, (lane + 0.5) * LANE_M + off
+
+    def want(self, place: tuple[float, float], *, is_reported: bool = False) -> None:
+        """Add a sample; an operator who reports it knows its place."""
+        name = f"sample_{len(self.samples) + 1}"
+        self.samples.append(Sample(name, place, is_reported, is_found=is_reported))
+        self._say(f"{name}_wanted")
+        if is_reported:
+            self._disturb(f"an operator reports {name}")
+            self._say(f"{name}_found")
+
+    def _step(self) -> None:
+        before = self.vehicle.position
+        self.vehicle.step()
+        self._flown_m += dist(before, self.vehicle.position)
+        self._drain()
+        if self.now >= self._components_due - 1e-9:
+            self._components_due += PERIOD_S
+            self._act()
+        if self.now >= self._battery_due - 1e-9:
+            self._battery_due += BATTERY_PERIOD_S
+            self.publish("QA measurement", "battery_level", repr(self.level))
+
+    def _drain(self) -> None:
+        """Charge and discharge the battery for one step; record each level that it falls below."""
+        before = self.level
+        active_w = sum(watts for name, watts in POWERS_W.items() if name in self.active)
+        watts = self.vehicle.rotor_w + AVIONICS_W + active_w
+        charged = STEP_S / CHARGE_S if self._is_charging else 0.0
+        level = before + charged - watts * STEP_S / self._settings.capacity_j
+        self.level = max(0.0, min(1.0, level))
+        self._least = min(self._least, self.level)
+        self._recharges += before < FULL <= self.level
+        for least, what in LEVELS.items():
+            if before >= least > self.level:
+                self._disturb(f"the battery fell below {least:g}, which {what}")
+        if before > self.level == 0.0:
+            self.vehicle.has_power = False
+            self._disturb("the battery is empty")
+            self._say("battery_empty")
+
+    def _act(self) -> None:
+        """Let the active components act; then choose the next target if there is none."""
+        if self.now >= self._added_s:
+            self._added_s = inf
+            self.want(self._added, is_reported=True)
+        for component, act in self._acts.items():
+            if component in self.active:
                 act()
+        waiting = [sample for sample in self.samples if sample.is_found and not sample.is_analysed]
+        if self.target is None and waiting:
+            here = self.vehicle.position[:2]
+            self.target = min(
+                waiting, key=lambda sample: (not sample.is_reported, dist(sample.place, here))
+            )
+            self._say(f"{self.target.name}_target")
+
+    # ------------------------------------------------------------ the components
 
     def check(self, component: str, parameters: Parameters, /) -> None:
         """Raise MissionError unless the component exists; none has parameters."""
@@ -344,143 +307,135 @@ class Nodes(NamedComponents):
             )
 
     def activate(self, component: str, /) -> None:
-        if component in self.active:
-            return
         super().activate(component)
-        self._count_watts()
-        self._done.discard(component)
         if component == "gripper":
-            self._worked(component, False)
-            self._robot.vehicle.fold(False)
-            self._robot.say("gripper_folded", False)
+            self.vehicle.is_folding = False
+            self._is_folded = False
+            self._say("gripper_folded", False)
         elif component == "landing_planner":
-            self._robot.vehicle.land()
+            self.vehicle.land()
 
     def deactivate(self, component: str, /) -> None:
-        if component not in self.active:
-            return
         super().deactivate(component)
-        self._count_watts()
-        robot = self._robot
         if component == "search_planner":
-            self._ahead = [robot.vehicle.position[:2], *self._ahead]  # to go on where it stopped
+            x, y, _ = self.vehicle.position.tolist()
+            self._path.insert(0, (x, y))  # to go on where it stopped
         elif component == "gripper":
-            robot.let_go()
+            self.let_go()
         elif component == "return_planner":
-            robot.is_charging = False
-        if component in MOVERS and not self.active.intersection(MOVERS):
-            robot.vehicle.hold()
+            self._is_charging = False
+        if component in MOVERS and not self.active & MOVERS:
+            self.vehicle.hold()
 
-    def _count_watts(self) -> None:
-        self.watts = sum([watts for name, watts in self._powers_w.items() if name in self.active])
-
-    def _worked(self, component: str, works: bool) -> float:
-        """Return how long a component has worked without a break [s].
-
-        `works` tells whether it does in this period.
-        """
-        self._worked_s[component] = self._worked_s[component] + PERIOD_S if works else 0.0
-        return self._worked_s[component]
+    def let_go(self) -> None:
+        """Drop the held sample, if any; it lies where it falls."""
+        if self.held is not None:
+            x, y, _ = self.vehicle.position.tolist()
+            self.held.place = (x, y)
+            self.held = None
+            self.vehicle.carry(0.0)
 
     def _search(self) -> None:
-        """Fly along the lanes."""
-        robot = self._robot
-        x, y = self._ahead[0]
-        robot.vehicle.go_to((x, y, ON_GROUND_M + robot.settings.cruise_m))
-        if dist((x, y), robot.vehicle.position[:2]) < 1.0:
-            self._ahead = self._ahead[1:] or robot.path
+        """Fly along all lanes, to and fro."""
+        if not self._path:
+            self._path = [
+                (x, (lane + 0.5) * LANE_M)
+                for lane in range(max(PATCHES) + 1)
+                for x in ((FIELD_M, 0.0) if lane % 2 else (0.0, FIELD_M))
+            ]
+        x, y = self._path[0]
+        self.vehicle.go_to((x, y, ON_GROUND_M + CRUISE_M))
+        if dist((x, y), self.vehicle.position[:2]) < 1.0:
+            self._path.pop(0)
 
     def _see_samples(self) -> None:
         """Find the samples in the camera's circle below, whose radius grows with altitude."""
-        robot = self._robot
-        vehicle = self._robot.vehicle
-        radius = vehicle.altitude * tan(robot.settings.half_view_rad)
-        for sample in robot.samples:
-            if (
-                not (sample.is_found or sample.is_reported)
-                and dist(sample.place, vehicle.position[:2]) <= radius
-            ):
+        radius = self.vehicle.altitude * tan(HALF_VIEW_RAD)
+        for sample in self.samples:
+            is_in_view = dist(sample.place, self.vehicle.position[:2]) <= radius
+            if is_in_view and not sample.is_found:
                 sample.is_found = True
-                robot.say(f"{sample.name}_found")
+                self._say(f"{sample.name}_found")
 
-    def _pick_up(self) -> None:
-        """Fly down to the target, and up again once it is in the gripper."""
-        self._robot.approach(GRIP_M if self._robot.held is None else LIFT_M)
+    def _over_target(self, height: float) -> tuple[float, float, float]:
+        """Return the place where the legs are at a height above the target [m], world frame."""
+        assert self.target is not None
+        return (*self.target.place, ON_GROUND_M + height)
+
+    def _approach(self, height: float) -> None:
+        if self.target is not None:
+            self.vehicle.go_to(self._over_target(height))
+
+    def _is_over_target(self, height: float, within: float) -> bool:
+        return self.target is not None and self.vehicle.is_near(self._over_target(height), within)
+
+    def _has_worked(self, is_at_work: bool, needed_s: float) -> bool:
+        """Count a period of work at the target, or a break; tell whether it was enough."""
+        self._worked_s = self._worked_s + PERIOD_S if is_at_work else 0.0
+        return self._worked_s >= needed_s
 
     def _grip(self) -> None:
         """Grip the target when it is within reach.
 
         A worn gripper jams while it lifts, and drops the sample.
         """
-        robot = self._robot
-        target = self._robot.target
-        settings = self._robot.settings
-        if robot.held is not None and robot.now >= robot.jams_s:
-            robot.is_jammed = True
-            robot.jams_s = inf
-            robot.let_go()
-            robot.disturb("the gripper jammed")
-            robot.publish("component status", "gripper", "FALSE")
-        if robot.is_jammed or robot.held is not None or target is None:
+        if self.held is not None and self.now >= self._jams_s:
+            self.is_jammed = True
+            self.let_go()
+            self._disturb("the gripper jammed")
+            self.publish("component status", "gripper", "FALSE")
+        if self.is_jammed or self.held is not None:
             return
-        reached = (
-            robot.vehicle.is_near(robot.over(target, GRIP_M), 0.15) and robot.vehicle.arm_rad > 1.2
-        )
-        if self._worked("gripper", reached) >= settings.grip_s:
-            robot.held = target
-            robot.pick_ups += 1
-            robot.vehicle.carry(settings.sample_kg)
-            if 0 < settings.gripper_worn_s <= robot.now:
-                robot.jams_s = robot.now + float(robot.rng.uniform(0.1, settings.jam_delay_s))
+        is_unfolded = self.vehicle.arm_rad > UNFOLDED_RAD
+        if self._has_worked(self._is_over_target(GRIP_M, 0.15) and is_unfolded, GRIP_S):
+            self.held = self.target
+            self._pick_ups += 1
+            self.vehicle.carry(SAMPLE_KG)
+            if 0 < self._settings.gripper_worn_s <= self.now:
+                self._jams_s = self.now + self._rng.uniform(0.1, JAM_DELAY_S)
 
     def _analyse(self) -> None:
         """Analyse the held sample once it is lifted."""
-        robot = self._robot
-        is_lifted = robot.held is not None and robot.vehicle.altitude > LIFT_M - 0.5
-        if self._worked("analyser", is_lifted) >= robot.settings.analysis_s:
-            robot.analysed(1.0)
-            robot.let_go()
+        is_lifted = self.vehicle.altitude > LIFT_M - 0.5
+        if self.held is not None and self._has_worked(is_lifted, ANALYSIS_S):
+            self._record_analysis(1.0)
+            self.let_go()
 
     def _look(self) -> None:
         """Analyse the target from above; an unfolded gripper would block the view."""
-        robot = self._robot
-        target = self._robot.target
-        settings = self._robot.settings
-        sees = target is not None and robot.vehicle.is_near(robot.over(target, LOOK_M), 0.4)
-        if (
-            self._worked("infrared_camera", sees and robot.vehicle.arm_rad < FOLDED_RAD)
-            >= settings.infrared_s
-        ):
-            robot.analysed(settings.infrared_quality)
+        is_folded = self.vehicle.arm_rad < FOLDED_RAD
+        if self._has_worked(self._is_over_target(LOOK_M, 0.4) and is_folded, LOOK_S):
+            self._record_analysis(LOOK_QUALITY)
+
+    def _record_analysis(self, quality: float) -> None:
+        if self.target is not None:
+            self.target.is_analysed = True
+            self._qualities.append(quality)
+            self._say(f"{self.target.name}_analysed")
+            self._say(f"{self.target.name}_target", False)
+            self.target = None
 
     def _return(self) -> None:
-        """Land at the base, which is the origin, and charge.
-
-        While the battery is full, report this every period.
+        """Land at the base and charge; while the battery is full, report this every period.
 
         So an action that begins with a full battery receives the report too. The level is published
         with it, so that nothing is decided by an older measurement.
         """
-        robot = self._robot
-        vehicle = self._robot.vehicle
-        if not (vehicle.is_landed and hypot(*vehicle.position[:2]) < 1.0):
-            vehicle.land((0.0, 0.0))
+        if not (self.vehicle.is_landed and hypot(*self.vehicle.position[:2]) < 1.0):
+            self.vehicle.land((0.0, 0.0))
             return
-        robot.is_charging = True
-        if robot.level >= FULL:
-            robot.recharges += "return_planner" not in self._done
-            self._done.add("return_planner")
-            robot.publish("QA measurement", "battery_level", repr(robot.level))
-            robot.say("battery_recharged")
+        self._is_charging = True
+        if self.level >= FULL:
+            self.publish("QA measurement", "battery_level", repr(self.level))
+            self._say("battery_recharged")
 
     def _fold(self) -> None:
         """Fold the gripper once the vehicle stands."""
-        vehicle = self._robot.vehicle
-        if vehicle.is_landed:
-            vehicle.fold(True)
-            if vehicle.arm_rad < FOLDED_RAD / 2 and "folding_servo" not in self._done:
-                self._done.add("folding_servo")
-                self._robot.say("gripper_folded")
+        if self.vehicle.is_landed:
+            self.vehicle.is_folding = True
+            if self.vehicle.arm_rad < FOLDED_RAD / 2 and not self._is_folded:
+                self._is_folded = True
+                self._say("gripper_folded")
 
 
 class _SkyKind(WorldKind):
@@ -494,15 +449,12 @@ class _SkyKind(WorldKind):
         self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase
     ) -> Verdict:
         """Judge by the goal: all wanted samples are analysed, and the battery never ran empty."""
-        done = analysed(percepts)
         wanted = results.get("wanted_samples") or 0
-        if percepts.holds("battery_empty"):
-            return Verdict(
-                "aborted", f"the battery ran empty, {done} of {wanted:g} samples were analysed"
-            )
-        if is_all_analysed(percepts):
+        if is_all_analysed(percepts) and not percepts.holds("battery_empty"):
             return Verdict("analysed_all", f"all {wanted:g} samples are analysed")
-        return Verdict("aborted", f"time ran out, {done} of {wanted:g} samples were analysed")
+        cause = "the battery ran empty" if percepts.holds("battery_empty") else "time ran out"
+        done = f"{analysed(percepts)} of {wanted:g} samples were analysed"
+        return Verdict("aborted", f"{cause}, {done}")
 
 
 SKY = _SkyKind()

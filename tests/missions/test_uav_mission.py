@@ -15,9 +15,18 @@ from missions.engine.settings import RunSettings
 from missions.engine.task_layer import TASK_KINDS
 from missions.uav.model import uav_model
 from missions.uav.tree import facts, is_all_analysed
-from missions.uav.vehicle import ARM_M, REACTION_M, SUBSTEPS, Quadrotor, Settings, mixed
-from missions.uav.world import Sample as Target
-from missions.uav.world import UavWorld
+from missions.uav.vehicle import (
+    AIR_KG_M3,
+    ARM_M,
+    FIGURE_OF_MERIT,
+    GRAVITY_M_S2,
+    REACTION_M,
+    ROTOR_RADIUS_M,
+    STEP_S,
+    Quadrotor,
+    mixed,
+)
+from missions.uav.world import Settings, UavWorld
 
 SEARCH, PICK_UP, LOOK = "search_for_samples", "pick_up_and_analyse", "analyse_on_site"
 RETURN, FOLD = "return_and_recharge", "land_and_fold_gripper"
@@ -99,8 +108,7 @@ class Mishaps(UavWorld):
         self.publish("component status", "gripper", "recovered")
 
     def report(self, x):
-        name = f"sample_{len(self.samples) + 1}"
-        self.samples.append(Target(name, (x, 3.0), self.now, is_reported=True))
+        self.want((x, 3.0), is_reported=True)
 
 
 MOMENTS = st.floats(0, 60)
@@ -113,7 +121,7 @@ MISHAPS = st.one_of(
 @settings(max_examples=3, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(MISHAPS, max_size=4), st.sampled_from([0.0, 0.5, 3.0]), st.sampled_from(TASK_KINDS))
 def test_any_mishap_leaves_the_switch_safe_and_all_analysed(script, switching_s, task):
-    values = {"samples": 1, "added_s": 0, "gripper_worn_s": 0, "activation_s": switching_s}
+    values = {"samples": 1, "added_s": 0, "gripper_worn_s": 0, "switching_s": switching_s}
     world = Mishaps(Settings(**values), numpy.random.default_rng(0))
     world.script = (*script, (20.0, "report", 6.0))
     guard = Guard()
@@ -209,7 +217,7 @@ def test_world_setting_out_of_bounds_is_refused(name, value, words):
 
 
 def flown(vehicle, seconds):
-    for _ in range(round(seconds / (SUBSTEPS * Settings().physics_step_s))):
+    for _ in range(round(seconds / STEP_S)):
         vehicle.step()
     return vehicle
 
@@ -221,7 +229,7 @@ def flown(vehicle, seconds):
     st.floats(0, 0.5),
 )
 def test_vehicle_arrives_in_any_wind_with_any_load_and_lands(place, bearing, load):
-    vehicle = Quadrotor(Settings(), (4 * math.cos(bearing), 4 * math.sin(bearing)))
+    vehicle = Quadrotor((4 * math.cos(bearing), 4 * math.sin(bearing)))
     vehicle.carry(load)
     vehicle.go_to(place)
     assert flown(vehicle, 25).is_near(place, 0.15)
@@ -232,13 +240,12 @@ def test_vehicle_arrives_in_any_wind_with_any_load_and_lands(place, bearing, loa
 
 
 def test_hovering_takes_the_power_of_momentum_theory():
-    constants = Settings()
-    vehicle = Quadrotor(constants, (0.0, 0.0))
+    vehicle = Quadrotor((0.0, 0.0))
     vehicle.go_to((0.0, 0.0, 3.0))
-    weight = 1.5 * constants.gravity_m_s2
-    area = 4 * math.pi * constants.rotor_radius_m**2
-    ideal_w = weight**1.5 / math.sqrt(2 * constants.air_kg_m3 * area)
-    expected_w = ideal_w / constants.figure_of_merit
+    weight = 1.5 * GRAVITY_M_S2
+    area = 4 * math.pi * ROTOR_RADIUS_M**2
+    ideal_w = weight**1.5 / math.sqrt(2 * AIR_KG_M3 * area)
+    expected_w = ideal_w / FIGURE_OF_MERIT
     assert flown(vehicle, 15).rotor_w == pytest.approx(expected_w, rel=0.01)
     vehicle.carry(0.3)
     loaded_w = expected_w * (1.8 / 1.5) ** 1.5
@@ -249,7 +256,7 @@ def test_hovering_takes_the_power_of_momentum_theory():
 
 @given(st.floats(-100, 100), st.tuples(SMALL, SMALL, SMALL))
 def test_rotors_balance_before_they_lift(thrust, torques):
-    one, two, three, four = mixed(thrust, torques, limit=8.0)
+    one, two, three, four = mixed(thrust, numpy.array(torques))
     assert all(0 <= rotor <= 8.0 for rotor in (one, two, three, four))
     assert ARM_M * (one + two - three - four) == pytest.approx(torques[0], abs=1e-9)
     assert ARM_M * (-one + two + three - four) == pytest.approx(torques[1], abs=1e-9)
@@ -260,7 +267,7 @@ def test_rotors_balance_before_they_lift(thrust, torques):
 
 
 def test_command_to_the_vehicle_takes_its_time_or_is_refused():
-    world = UavWorld(Settings(activation_s=0.5), numpy.random.default_rng(0))
+    world = UavWorld(Settings(switching_s=0.5), numpy.random.default_rng(0))
     operation = world.managed.activate("search_planner")
     while world.now < 0.49:
         world.advance(0.49)

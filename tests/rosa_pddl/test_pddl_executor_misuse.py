@@ -119,7 +119,9 @@ def test_what_sense_raises_comes_out_as_it_is_and_nothing_runs_on(world):
     world.executor._belief._sense = lambda: 1 / 0
     with pytest.raises(ZeroDivisionError) as caught:
         world.tick()
-    assert caught.value.__notes__ == ["this came of what `sense` returned or raised"]
+    assert caught.value.__notes__ == [
+        "this came of what `sense`, or `facts` of a mission, returned or raised"
+    ]
     assert happened(world)[-1] == ("search_pipeline", "INVALID")
     assert not world.executor.current_steps
 

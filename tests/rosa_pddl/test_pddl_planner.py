@@ -158,6 +158,7 @@ def program(tmp_path, script):
 def test_whatever_fast_downward_does_has_a_name(monkeypatch, tmp_path, script, outcome, words):
     search = program(tmp_path, script)
     monkeypatch.setattr(worker, "fast_downward_command", lambda: (str(search),))
+    monkeypatch.chdir(tmp_path)
     answer = worker.solve(
         {"engine": "fast-downward-opt", "domain": "", "problem": "", "limit_s": 1.0}
     )
@@ -238,13 +239,17 @@ def test_cancelling_ends_every_process_of_the_engine(extended, slow, tmp_path):
         future.result()
 
 
-def test_closing_the_planner_ends_what_runs(extended, slow, tmp_path):
+def test_closing_the_planner_ends_what_runs(extended, slow, tmp_path, monkeypatch):
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(folder))
     planner = Planner(moves=0, timeout_s=1000.0)
     future = planner.start(problem_of(extended))
     child = child_of(tmp_path)
     planner.close()
     assert "closed" in future.result(120.0).message
     wait_until_dead(child)
+    assert list(folder.iterdir()) == []
 
 
 def test_planning_prints_nothing(extended, capfd):

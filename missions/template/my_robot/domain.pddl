@@ -16,11 +16,15 @@
     :condition (and (over all (explore_action ?a)) (over all (action_feasible ?a)))
     :effect (and (at end (explored ?c)))
   )
-  ; charging is expected to make exploring feasible again; whether it does is the knowledge base's to say
+  ; charging is expected to make exploring feasible again; the knowledge base says whether it does
   (:durative-action charge
     :parameters (?a ?b - action ?c - cave)
     :duration (= ?duration 20)
-    :condition (and (over all (charge_action ?a)) (over all (action_feasible ?a)) (at start (explore_action ?b)))
+    :condition (and
+      (over all (charge_action ?a))
+      (over all (action_feasible ?a))
+      (at start (explore_action ?b))
+    )
     :effect (and (at end (charged ?c)) (at end (action_feasible ?b)))
   )
 )
