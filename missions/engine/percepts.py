@@ -21,8 +21,9 @@ MISSION_STATUS: Final = "mission status"
 def check_message(message: Any, source: str) -> None:  # noqa: ANN401  # anything, until it is checked
     """Check the form of a message; raise MissionError, which names the source, if it is wrong."""
     try:
-        texts = [status["message"] for status in message["status"]]
-        texts += [name for status in message["status"] for name in status["values"].keys()]  # noqa: SIM118
+        texts: list[Any] = []
+        for status in message["status"]:
+            texts += [status["message"], *status["values"].keys()]
         is_fit = 0 <= message["time"] < inf and all(isinstance(text, str) for text in texts)
     except (AttributeError, LookupError, TypeError):
         is_fit = False
