@@ -27,9 +27,9 @@ def status(name, level, message="", **values):
 
 
 def diagnose(robot, *statuses):
-    before = robot.bridge.heard
+    before = robot.heard
     robot.host.publish("/diagnostics", ARRAY, {"status": list(statuses)})
-    until(lambda: robot.bridge.heard > before)
+    until(lambda: robot.heard > before)
 
 
 def test_rosas_own_diagnostics_are_understood(robot):
