@@ -6,6 +6,7 @@ import resource
 from contextlib import suppress
 from pathlib import Path
 from threading import Event
+from xml.etree import ElementTree
 
 import pytest
 from mcap.reader import make_reader
@@ -137,8 +138,9 @@ def test_tree_log_names_nodes_of_the_recorded_tree(drop):
     xml = ros.types().decode(ros.STRING, tree)["data"]
     changes = [c for data in log for c in ros.types().decode(ros.TREE_LOG, data)["event_log"]]
     assert {change["current_status"] for change in changes} >= {"RUNNING", "SUCCESS"}
+    names = {node.get("_uid"): node.get("name") for node in ElementTree.fromstring(xml).iter()}
     for change in changes:
-        assert f'name="{change["node_name"]}" _uid="{change["uid"]}"' in xml
+        assert names[str(change["uid"])] == change["node_name"]
 
 
 def as_rosbag2(drop, folder, storage=StoragePlugin.MCAP, mode=None):
