@@ -1,7 +1,7 @@
 """Makes the rows of pages, reports and recordings from a knowledge base and a tree."""
 
 import logging
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from itertools import count
@@ -106,13 +106,13 @@ class Recorder:
         self._what_if = what_if
         self._own = None
         if header is None:
-            self._own = AdaptationLog(kb, self.adapted, lambda: self._task_plans)
+            self._own = AdaptationLog(kb, self.adapted)
         self._network: Network | None = None
         self._elements: dict[str, dict[str, Any]] = {}  # by key, as they are in that network
         self._counts = Counter[str]()  # by track
         self._troubles: set[str] = set()
         self._posed_at = -inf
-        self._task_plans: list[Any] = []
+        self._task_plans = deque[Any](maxlen=PLANS)
         self._last_plans: dict[Any, Any] = {}  # by behaviour
         self._look(kb.now)
         for action in kb.required_actions:
@@ -243,15 +243,14 @@ class Recorder:
         if self._own is not None:
             self._own.settle()
             self._own.ticking(self.kb.now)
-        with self.kb.reading():  # facts may be told by other threads than the one that ticks
-            del self._task_plans[:-PLANS]
 
     def ticked(self, planning: Iterable[Any]) -> None:
         """End a tick in which these behaviours may have made task plans."""
+        made = []
         for behaviour in planning:
             for plan in plans_after(self._last_plans.get(behaviour), behaviour.plans):
                 self._last_plans[behaviour] = plan
-                self._task_plans.append(plan)
+                made.append(plan)
                 steps = list(map(str, plan.steps))
                 level = "info" if plan.outcome.is_solved else "warning"
                 result = ", ".join(steps) or plan.message or plan.reason
@@ -262,6 +261,9 @@ class Recorder:
                     "steps": steps,
                 }
                 self.log("taskplan", level, words, plan.at_s, **more)
+        self._task_plans += made
+        if self._own is not None:
+            self._own.settle(made)
         if self._pose is not None and self.kb.now >= self._posed_at + POSE_PERIOD_S - 1e-9:
             self._posed_at = self.kb.now
             self.posed(self.kb.now, self._pose())
@@ -461,7 +463,7 @@ class RunRecorder(Listener):
     def adaptation(self, adaptation: Adaptation) -> None:
         self.recorder.adapted(adaptation)
 
-    def sample(self, sample: Sample) -> None:
+    def sample(self, sample: Sample | None) -> None:
         self._sample = sample
         self._show()
 
