@@ -696,15 +696,11 @@ class RunOnce(Gate, then_skip=True):
     After that it is skipped, or with then_skip="false" returns that outcome.
     """
 
-    @property
-    def runs(self) -> bool:  # type: ignore[override]  # depends on the state here
-        return self._last not in DONE
-
     def forget(self) -> None:
         """Remember that it has run."""
 
     def instead(self) -> Status | None:
-        if self.runs:
+        if self._last not in DONE:
             return None
         return SKIPPED if self.ports.get("then_skip") else self._last
 
@@ -924,21 +920,15 @@ class NonblockingSequence(XmlNode):
         return RUNNING if is_open else self.end(SUCCESS)
 
 
-class PersistentSequence(XmlNode, current_child_idx=int):
+class PersistentSequence(Sequence, current_child_idx=int):
     """A sequence that keeps its place on the blackboard, also when it is halted."""
 
     def decide(self) -> Ticking:
-        start = self.ports.get(*self.PORTS)
-        verdict = SUCCESS
-        for place, slot in enumerate(self.slots[start:], start):
-            self.ports.set("current_child_idx", place)
-            verdict = yield from slot.tick()
-            if verdict is RUNNING:
-                return RUNNING
-            if verdict is FAILURE:
-                break
-        self.ports.set("current_child_idx", 0)
-        return self.end(FAILURE if verdict is FAILURE else SUCCESS)
+        self.current_child = self.children[self.ports.get(*self.PORTS)]
+        verdict = yield from super().decide()
+        child = self.current_child
+        self.ports.set("current_child_idx", self.children.index(child) if child else 0)
+        return SUCCESS if verdict is SKIPPED else verdict
 
 
 class PauseResumeController(
