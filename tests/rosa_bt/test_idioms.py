@@ -14,6 +14,7 @@ from rosa_bt import (
     HasStatus,
     Measurement,
     RosaAction,
+    TreeChangeError,
     TreeRunner,
     do_until_unfeasible,
     feasible_then_act,
@@ -232,6 +233,13 @@ def test_transition_names_actions_of_the_tree_and_has_one_place(kb):
     ):
         switch_safely(root, {("serch", "charge"): Success("land")})
     with pytest.raises(RuntimeError, match="'land' already has parent 'switch to charge'"):
+        switch_safely(root, {("search", "charge"): Success("land")})
+
+
+def test_transition_in_a_parallel_is_refused(kb):
+    policy = ParallelPolicy.SuccessOnAll()
+    root = Parallel("both", policy, [Act(kb, "search"), Act(kb, "charge")])
+    with pytest.raises(TreeChangeError, match="'search' is below 'both': its actions run at the"):
         switch_safely(root, {("search", "charge"): Success("land")})
 
 
