@@ -947,6 +947,9 @@ class KnowledgeBase:
         self.log.resume(store.saved)
         for number in list(self._records.open_plans):  # an earlier program left them
             self._record("finish_plan", number, "abandoned")
+        for attempt in tuple(self._records.attempts.values()):
+            if attempt.end is None:
+                self._record("finish_attempt", attempt.serial, "abandoned", "its end is not known")
         self.log.time = -inf  # the clock may have started again at 0
         store.left = tuple(self._records.required)
 

@@ -245,7 +245,7 @@ class _Graph:
         self._things: dict[str, Any] = {}
         self.written: dict[tuple[str, str], Mapping[str, Any]] = {}
         declare_words(self.ontology)
-        self.close = self.world.close
+        self.close: Callable[[], object] = self.world.close
 
     def describe(self, model: elements.Owner) -> Iterator[Individual]:
         """Describe all elements of a model, which thereby get their ids."""
@@ -596,7 +596,7 @@ class Ontology:
                 if live is not None:
                     live.close()
                 live = _Live(self._kb)
-                finalize(self, live.close)  # owlready2 holds the classes of an open world
+                live.close = finalize(self, live.close)  # owlready2 holds an open world's classes
             self._live = live
             return live.world
 
