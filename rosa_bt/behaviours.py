@@ -1,6 +1,5 @@
 """Leaves: conditions that ask a knowledge base, and actions that request what they do."""
 
-import math
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import suppress
 
@@ -312,19 +311,14 @@ class RosaAction(Requester, ActionBehaviour):
 
     Args:
         action: name of the ROSA action; without it, the port `action` gives it.
-        preference: name of the attribute to favour when a configuration is chosen; also a port.
+        preference: name of the attribute to favour when a configuration is chosen, or None.
         wait: begin only when the robot is configured for the action; RUNNING until then.
-        timeout: how long to wait [s], by the clock of the knowledge base; then FAILURE.
         exclusive: begin only when every interrupted action has halted, and let the others wait.
         halting_timeout: how long the others wait until this has halted [s].
 
     Raises:
         kb.UnknownName: no such action; the message lists the nearest ones.
     """
-
-    INPUT_PORTS = ActionBehaviour.INPUT_PORTS | {
-        "preference": PortInformation(str, False, "attribute to favour", "")
-    }
 
     def __init__(
         self,
@@ -334,27 +328,16 @@ class RosaAction(Requester, ActionBehaviour):
         preference: str | None = None,
         *,
         wait: bool = False,
-        timeout: float = math.inf,
         exclusive: bool = False,
         halting_timeout: float = Requester.halting_timeout,
     ) -> None:
         super().__init__(name, kb, action)
         self.wait = wait
-        self.timeout = timeout
         self.exclusive = exclusive
         self.halting_timeout = halting_timeout
-        self._rosa_preference = preference
+        self.preference = preference
         self._rosa_request = ActionRequest(self, kb)
         self._rosa_has_begun = False
-
-    @property
-    def preference(self) -> str | None:
-        """Name of the attribute to favour, or None."""
-        if self._rosa_preference is not None:
-            return self._rosa_preference
-        with suppress(RuntimeError):  # this leaf is not connected to a blackboard
-            return self.get_input("preference") or None
-        return None
 
     @property
     def is_halting(self) -> bool:

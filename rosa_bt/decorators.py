@@ -46,7 +46,6 @@ class ForAction(Requester, PassingOn):
         child: a leaf or a whole subtree.
         preference: name of the attribute to favour when a configuration is chosen, or None.
         wait: tick the child only when the robot is configured for the action; RUNNING until then.
-        timeout: how long to wait [s], by the clock of the knowledge base; then FAILURE.
 
     Raises:
         kb.UnknownName: no such action; the message lists the nearest ones.
@@ -61,7 +60,6 @@ class ForAction(Requester, PassingOn):
         *,
         preference: str | None = None,
         wait: bool = False,
-        timeout: float = math.inf,
     ) -> None:
         super().__init__(name, child)
         kb.is_feasible(action)  # raises now, not during a mission, if it is unknown
@@ -69,7 +67,6 @@ class ForAction(Requester, PassingOn):
         self.action = action
         self.preference = preference
         self.wait = wait
-        self.timeout = timeout
         self._rosa_request = ActionRequest(self, kb)
         guard(self)
 

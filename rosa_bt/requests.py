@@ -69,7 +69,7 @@ def forget_progress(kb: KnowledgeBase, name: str | None = None) -> None:
         name: of the behaviour; without it, all is dropped.
     """
     progress = requests_of(kb).progress
-    for key in [*progress]:
+    for key in list(progress):
         if name in (None, key[1]):
             del progress[key]
 
@@ -111,16 +111,13 @@ class ActionRequest:
 
     Args:
         owner: the behaviour; it has an `action` and a `preference`, and says whether to `wait` for
-            the robot's configuration, and for how long (`timeout` [s]).
+            the robot's configuration.
     """
 
     def __init__(self, owner: Any, kb: KnowledgeBase) -> None:  # noqa: ANN401  # a Requester
-        if not owner.timeout > 0:
-            raise ValueError(f"a time-out is more than 0 s, not {owner.timeout!r}")
         self.owner = owner
         self._kb = kb
         self._requests = requests_of(kb)
-        self._since = math.nan
         self._halting_since = math.nan
         self._is_ready = False
 
@@ -142,49 +139,38 @@ class ActionRequest:
         if is_new or not owner.even_if_unfeasible:
             objection = self._objection(action)
         if is_new and not objection:
-            blocking = self._blocking(action)
-            if blocking:
-                owner.feedback_message = blocking
+            owner.feedback_message = self._blocking(action)
+            if owner.feedback_message:
                 return RUNNING
-            objection = self._open(action)
-        elif not is_new and objection:
+            self._requests.open[self] = action  # before the knowledge base knows of it
+            reply = self._kb.request_action(action, owner.preference)
+            if not reply:
+                del self._requests.open[self]
+                objection = reply.reason
+        elif objection:
             owner.stop(INVALID)  # interrupted, not failed: the action is unfeasible
         if objection:
             owner.feedback_message = objection
             return FAILURE
-        lacking = self._lacking(action)
-        if not lacking:
-            if not self._is_ready:
-                owner.feedback_message = ""
-            self._is_ready = True
+        if self._is_ready:
             return SUCCESS
-        if self._kb.now - self._since >= owner.timeout:
-            owner.feedback_message = f"not ready within {owner.timeout:g} s: {lacking}"
-            return FAILURE
-        owner.feedback_message = f"waiting: {lacking}"
-        return RUNNING
-
-    def _open(self, action: str) -> str:
-        """Request an action; return why it is refused. It is registered before it is requested."""
-        self._since = self._kb.now
-        self._requests.open[self] = action
-        reply = self._kb.request_action(action, self.owner.preference)
-        if not reply:
-            del self._requests.open[self]
-        return "" if reply else reply.reason
+        owner.feedback_message = self._lacking(action)
+        self._is_ready = not owner.feedback_message
+        return SUCCESS if self._is_ready else RUNNING
 
     def _objection(self, action: str) -> str:
         """Return why an action cannot begin or go on; empty if it can."""
         return "" if self._kb.is_feasible(action) else why(self._kb, action)
 
     def _lacking(self, action: str) -> str:
-        """Return why the robot is not configured for the action; empty if it is."""
+        """Return what the owner waits for; empty if for nothing."""
         kb = self._kb
-        if self._is_ready or not self.owner.wait:
+        if not self.owner.wait:
             return ""
         if kb.actions[action].status is not ElementStatus.SOLVED:
-            return why(kb, action)
-        return f"the robot is being reconfigured ({kb.pending_plan})" if kb.pending_plan else ""
+            return f"waiting: {why(kb, action)}"
+        plan = kb.pending_plan
+        return f"waiting: the robot is being reconfigured ({plan})" if plan else ""
 
     def close(self, status: Status, reason: str) -> None:
         """Release the action; the last of its requesters cancels the request, with its result.

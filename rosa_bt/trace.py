@@ -97,10 +97,6 @@ class Trace:
     model: str
     ticks: tuple[Tick, ...]
 
-    def __str__(self) -> str:
-        lines = map(_tick_line, self.ticks, (_NO_TICK, *self.ticks))
-        return _first_line(self.model) + "".join(lines)
-
 
 class TraceVisitor(VisitorBase):
     """Records every tick: the events before it, and what was ticked with which status.
@@ -123,11 +119,9 @@ class TraceVisitor(VisitorBase):
         self._file: TextIO | None = None
         if path is not None:
             self._file = Path(path).open("w", buffering=1)  # noqa: SIM115  # closed by __exit__
-            self._file.write(_first_line(kb.model.name))
+        self._write({"rosa_bt_trace": _VERSION, "model": kb.model.name})
         self._ticks: deque[Tick] = deque(maxlen=keep)
         self._written = 0  # number of the last event that is written
-        self._tree: tuple[Node, ...] = ()
-        self._numbers: dict[Behaviour, int] = {}
         self._thread: int | None = None
         kb.log.witnesses += (self._witness,)
 
@@ -156,28 +150,39 @@ class TraceVisitor(VisitorBase):
             return
         self._thread = None
         root = path_of(self._seen[-1][0])[-1]
-        if not all(node in self._numbers for node, _, _ in self._seen):
-            self._number(root)
-        before = self._ticks[-1] if self._ticks else _NO_TICK
-        numbers = self._numbers
-        visited = tuple(Visit(numbers[node], status, text) for node, status, text in self._seen)
-        if visited == before.visited:
-            visited = before.visited  # keep one copy in memory
+        seen = [
+            node for node, *_ in self._seen
+        ]  # a step of a plan may have left the tree meanwhile
+        nodes = list(dict.fromkeys([*_parents_first(root), *seen]))
+        numbers = {node: number for number, node in enumerate(nodes)}
         last = max([self._begun, *self._known, *self._own])  # later events are of the next tick
         with self._kb.reading():
             events = self._kb.log.since(self._written)
             time = float(self._kb.now)
-        told = [  # without what is not in a file
-            Told(Event(*event[:7]), self._place(event.number))
-            for event in events
-            if event.number <= last
-        ]
         self._written = max(last, self._written)
-        errors = [(node.name, in_words(error)) for node, error in errors_of(root)]
-        tick = Tick(before.number + 1, time, self._tree, visited, tuple(told), tuple(errors))
+        before = self._ticks[-1] if self._ticks else _NO_TICK
+        tick = Tick(
+            before.number + 1,
+            time,
+            tuple(Node(len(path_of(node)) - 1, type(node).__name__, node.name) for node in nodes),
+            tuple(Visit(numbers[node], status, text) for node, status, text in self._seen),
+            tuple(  # without what is not in a file
+                Told(Event(*event[:7]), self._place(event.number))
+                for event in events
+                if event.number <= last
+            ),
+            tuple((node.name, in_words(error)) for node, error in errors_of(root)),
+        )
+        earlier = before._asdict()
+        changes = {name: new for name, new in tick._asdict().items() if new != earlier[name]}
+        self._ticks.append(before._replace(**changes))  # what is the same is there once
+        if "events" in changes:
+            changes["events"] = [(event.to_json(), place) for event, place in tick.events]
+        self._write(changes)
+
+    def _write(self, line: dict[str, Any]) -> None:
         if self._file is not None:
-            self._file.write(_tick_line(tick, before))
-        self._ticks.append(tick)
+            self._file.write(json.dumps(line, separators=(",", ":")) + "\n")
 
     def _place(self, number: int) -> int | None:
         if number <= self._begun:
@@ -205,40 +210,11 @@ class TraceVisitor(VisitorBase):
         if self._file is not None:
             self._file.close()
 
-    def _number(self, root: Behaviour) -> None:
-        seen = [
-            node for node, *_ in self._seen
-        ]  # a step of a plan may have left the tree meanwhile
-        nodes = dict.fromkeys([*_parents_first(root), *seen])
-        self._numbers = {node: number for number, node in enumerate(nodes)}
-        self._tree = tuple(
-            Node(len(path_of(node)) - 1, type(node).__name__, node.name) for node in nodes
-        )
-
 
 def _parents_first(root: Behaviour) -> Iterator[Behaviour]:
     yield root
     for child in root.children:
         yield from _parents_first(child)
-
-
-def _line(record: dict[str, object]) -> str:
-    return json.dumps(record, separators=(",", ":")) + "\n"
-
-
-def _first_line(model: str) -> str:
-    return _line({"rosa_bt_trace": _VERSION, "model": model})
-
-
-def _tick_line(tick: Tick, before: Tick) -> str:
-    """Return the line of a tick that follows another."""
-    events = [(event.to_json(), place) for event, place in tick.events]
-    line = tick._asdict() | {"events": events}
-    earlier = before._asdict()
-    for name, value in tick._asdict().items():
-        if value == earlier[name]:
-            del line[name]
-    return _line(line)
 
 
 def read_trace(path: str | Path) -> Trace:

@@ -8,7 +8,7 @@ it. No action becomes feasible in this way.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple
 
@@ -72,8 +72,6 @@ class MissionValue:
         deadline: when the mission ends [s, by the clock of the knowledge base].
         gains: the actions that gain something; the one that gains most is done.
         detours: the actions that restore attributes.
-        keep: least values of attributes at the end of a detour, by name; by default their least
-            values in the model.
         away: distance of the robot from where detours lead [m].
         unit: unit of the value, for messages.
     """
@@ -81,7 +79,6 @@ class MissionValue:
     deadline: float
     gains: Sequence[Gain] = ()
     detours: Sequence[Detour] = ()
-    keep: Mapping[str, float] = field(default_factory=dict)
     away: float = 0.0
     unit: str = ""
 
@@ -104,8 +101,7 @@ class Lookahead:
 
     Args:
         kb: the knowledge base; its forecasts say how attributes change.
-        value: what the mission gains, or a function that returns it for each decision; None for
-            nothing stated.
+        value: returns what the mission gains, for each decision.
         period: least time between two decisions while no status changes [s].
 
     Attributes:
@@ -119,18 +115,18 @@ class Lookahead:
     def __init__(
         self,
         kb: KnowledgeBase,
-        value: MissionValue | Callable[[], MissionValue] | None = None,
+        value: Callable[[], MissionValue],
         period: float = 1.0,
     ) -> None:
         self._kb = kb
-        self._given = value
+        self._value = value
         self._period = period
         self.latest = Decision()
         self._decided_at: tuple[int, float] = -1, -inf
         self._detour: Detour | None = None
         self._until = -inf
         self._postponed: list[str] = []
-        self._stated()
+        _check(kb, value())
 
     def update(self) -> Decision:
         """Decide if it is time to, and put off what a detour interrupts."""
@@ -142,34 +138,22 @@ class Lookahead:
             self._take_up()
         elif kb.revision == revision and kb.now < time + self._period:
             return self.latest
-        value = self._stated()
-        self.latest = self._decide(value)
-        for detour in value.detours:
-            if detour.action == self.latest.action:
-                self._put_off(value, detour)
+        value = self._value()
+        _check(kb, value)
+        self.latest = Decision()
         self._decided_at = kb.revision, kb.now
-        return self.latest
-
-    def _stated(self) -> MissionValue:
-        value = (self._given() if callable(self._given) else self._given) or MissionValue(inf)
-        if value.gains:
-            _check(self._kb, value)
-        return value
-
-    def _decide(self, value: MissionValue) -> Decision:
-        kb = self._kb
         gains = [gain for gain in value.gains if kb.is_feasible(gain.action)]
         if not gains or kb.now >= value.deadline:
-            return Decision()
+            return self.latest
         gain = max(gains, key=lambda gain: gain.rate)
-        work = Decision(gain.action)
+        self.latest = Decision(gain.action)
         for detour in value.detours:
             if kb.is_feasible(detour.action):
-                decision = _Question(kb, value, gain, detour).decision()
-                if decision.action == detour.action:
-                    return decision
-                work = decision
-        return work
+                self.latest = _Question(kb, value, gain, detour).decision()
+                if self.latest.action == detour.action:
+                    self._put_off(value, detour)
+                    break
+        return self.latest
 
     def _is_under_way(self, detour: Detour) -> bool:
         kb = self._kb
@@ -218,7 +202,8 @@ class ValueSelector(Selector):
 
 def _check(kb: KnowledgeBase, value: MissionValue) -> None:
     """Raise if the model does not have a name, or a number is not finite or out of its range."""
-    finite_number(value.deadline)
+    if value.gains:
+        finite_number(value.deadline)
     parts: list[Gain | Detour] = [*value.gains, *value.detours]
     for part in parts:
         kb.is_feasible(part.action)
@@ -226,8 +211,9 @@ def _check(kb: KnowledgeBase, value: MissionValue) -> None:
             raise InvalidValue(
                 f"the spread of {part.action} is a share from 0 to below 1, not {part.spread!r}"
             )
-    for name in (*value.keep, *(name for detour in value.detours for name in detour.restores)):
-        kb.attributes[name]
+    for detour in value.detours:
+        for name in detour.restores:
+            kb.attributes[name]
     for gain in value.gains:
         if finite_number(gain.rate) < 0.0:
             raise InvalidValue(f"what {gain.action} gains is 0 or more a second, not {gain.rate!r}")
@@ -240,7 +226,7 @@ class _Level(NamedTuple):
     detour: tuple[float, ...]
     full: float
     least: float
-    keep: float
+    low: float
 
 
 class _State(NamedTuple):
@@ -276,8 +262,8 @@ class _Question:
                     least = max(least, constraint.value)
             work = self._slopes(kb, name, gain.action)
             change = self._slopes(kb, name, detour.action)
-            keep = value.keep.get(name, kb.model.attributes[name].low)
-            self._levels.append(_Level(work, change, full, least, keep))
+            low = kb.model.attributes[name].low
+            self._levels.append(_Level(work, change, full, least, low))
             level = kb.attributes[name].value
             if level is None:
                 self._problem = f"{name} is not measured"
@@ -309,10 +295,6 @@ class _Question:
         low, course, high = (self._best(side, state) for side in _SIDES)
         expected = f"gains {course.value:.3g}{unit} ({low.value:.3g} to {high.value:.3g})"
         action = self._detour.action
-        if self._value.keep and self._arrives(state, 0.0) and not self._arrives(state, 1.0):
-            return Decision(
-                action, f"{action} now: later it would end with less than is to be kept"
-            )
         if course.leave == 0.0 and self._pays():
             last = f"leaving at {self._now + self._lasting(0, state):.0f} s, when it has to"
             gain = f"gains {self._late(0):.3g}{unit}"
@@ -361,7 +343,7 @@ class _Question:
         """Tell whether enough of each level is left at the end of a detour, at the worst."""
         longest, _ = self._takes(-1, self._away(state, leave))
         for level, value in zip(self._levels, state.levels, strict=True):
-            if value + level.work[0] * leave + level.detour[0] * longest < level.keep:
+            if value + level.work[0] * leave + level.detour[0] * longest < level.low:
                 return False
         return True
 
@@ -369,8 +351,10 @@ class _Question:
         """Return the best course: never leaving, or leaving at the best of some times."""
         work = self._lasting(side, state)
         best = _Course(self._rate(side) * work)
-        count = _TIMES[depth] if depth < len(_TIMES) else 0
-        for number in range(count, -1, -1) if count else ():
+        if depth == len(_TIMES):
+            return best
+        count = _TIMES[depth]
+        for number in range(count, -1, -1):
             course = self._leaving(side, state, work * number / count, depth + 1)
             if course is not None and course.value > best.value + 1e-9:
                 best = course

@@ -8,7 +8,8 @@ from typer import Argument, Exit, Option, echo
 from missions.commands import FAILED, UNFINISHED, File, Text, Texts
 from missions.engine.mission import MissionError, find_mission
 from missions.engine.question import answer, ask, certified
-from missions.proof.verification import prove, setup_of
+from missions.proof.setup import setup_of
+from missions.proof.verification import prove
 from missions.views.output import as_json, open_files
 from missions.views.plan import (
     as_data,
@@ -95,7 +96,6 @@ def verify(
     suggest: Annotated[
         bool, Option("--suggest", help="Look for what mends a broken tree.")
     ] = False,
-    most: Annotated[int, Option(help="Stop at this number of situations.")] = 100_000,
     seconds: Annotated[float, Option(help="Stop after this time [s].")] = 60.0,
     json: Annotated[File, Option(help="Write what was found.")] = None,
     report: Annotated[
@@ -103,12 +103,7 @@ def verify(
     ] = None,
 ) -> None:
     """Verify a mission's tree. Exit 0: all properties hold; 1: one is violated; 3: not finished."""
-    setup = setup_of(
-        find_mission(mission),
-        failures=failures,
-        most=most,
-        seconds=seconds,
-    )
+    setup = setup_of(find_mission(mission), failures=failures, seconds=seconds)
     files = open_files({"json": json, "report": report})
     proof = prove(setup, suggest=suggest)
     echo(f"{mission}: {proof}")
@@ -126,7 +121,7 @@ def verify(
         proof.report(report)
     if proof.broken:
         raise Exit(FAILED)
-    if not proof.explored.is_finished:
+    if proof.explored.unexplored:
         fewer = ", or look for fewer failures at once with --failures" if failures else ""
-        echo(f"not finished, and nothing is broken so far: raise --seconds or --most{fewer}")
+        echo(f"not finished, and nothing is broken so far: raise --seconds{fewer}")
         raise Exit(UNFINISHED)

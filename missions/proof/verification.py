@@ -1,7 +1,8 @@
 """Verify a mission: explore it, check what must hold, and report with stories."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,13 +11,11 @@ from py_trees.composites import Parallel, Selector
 from py_trees.composites import Sequence as SequenceNode
 from py_trees.decorators import Decorator
 
-from kb import Event, KnowledgeBase, Model
-from missions.engine.mission import Mission, MissionError
-from missions.engine.task_layer import build_task
+from kb import KnowledgeBase, Model
 from missions.proof.exploration import Exploration
 from missions.proof.properties import Finding, check, notes
 from missions.proof.rig import Rig, Step, acting
-from missions.proof.setup import Change, Senses, Setup, causes_of
+from missions.proof.setup import Fact, Senses, Setup, failed
 from rosa_bt import HasStatus, IsActionFeasible, RosaAction, do_until_unfeasible
 
 
@@ -57,45 +56,22 @@ class Proof:
         """The findings that do not hold."""
         return [finding for finding in self.findings if finding.holds is False]
 
-    def story(self, trail: Iterable[Step] | None, page: Path | None = None) -> list[str]:
-        """Run the rounds of a finding with the real parts, and say what happens.
-
-        With `page`, write a page of it.
-        """
-        if trail is None:
-            return []
-        rig = Rig(self.explored.rig.setup)
-        lines: list[str] = []
-
-        def on_event(event: Event) -> None:
-            if event.verb in ("request_action", "cancel_action") or event.plan:
-                lines.append(f"      {event.text}")
-
-        recorder = None
-        if page is not None:
-            from missions.views.recorder import Recorder
-
-            recorder = Recorder(rig.kb, rig.runner)
-        rig.kb.subscribe(on_event)
-        rig.begin()
-        for number, step in enumerate(trail, start=1):
-            rig.clock = float(number)
-            lines.append(f"  {number}. {step}")
-            for change in step.changes:
-                change.apply(rig.kb)
-            rig.settle()
-            rig.tick(step.answers)
-            rig.settle()
-        if recorder is not None:
-            recorder.close()
-            recorder.report(str(page))
-        return lines
+    def story(self, trail: Sequence[Step] | None) -> list[str]:
+        """Run the rounds of a finding with the real parts, and say what happens."""
+        return [] if trail is None else _replayed(Rig(self.explored.rig.setup), trail)
 
     def report(self, page: Path) -> None:
         """Write a page of the first story, or else of how the goal is reached."""
-        goal = min(self.explored.goals.intersection(self.explored.caused()), default=0)
+        from missions.views.recorder import Recorder
+
+        goals = self.explored.goals
+        ways = [each.path for each in self.explored.caused() if each in goals]
         trails = [finding.trail for finding in self.broken if finding.trail is not None]
-        self.story(trails[0] if trails else self.explored.path(goal), page)
+        rig = Rig(self.explored.rig.setup)
+        recorder = Recorder(rig.kb, rig.runner)
+        _replayed(rig, [*trails, *ways, []][0])
+        recorder.close()
+        recorder.report(str(page))
 
     @property
     def count(self) -> str:
@@ -103,7 +79,7 @@ class Proof:
         explored = self.explored
         count = f"{len(explored.situations)} situations, {explored.transitions} transitions"
         count += f", {explored.seconds:.1f} s"
-        return count if explored.is_finished else f"up to {count}, not finished"
+        return f"up to {count}, not finished" if explored.unexplored else count
 
     def __str__(self) -> str:
         lines = [self.count]
@@ -121,12 +97,31 @@ class Proof:
             lines = [line.strip() for line in self.story(finding.trail)]
             findings.append({**vars(finding), "trail": lines})
         return {
-            "finished": self.explored.is_finished,
+            "finished": not self.explored.unexplored,
             "count": self.count,
             "findings": findings,
             "consequences": [consequence._asdict() for consequence in self.consequences],
             "notes": self.notes,
         }
+
+
+def _replayed(rig: Rig, trail: Sequence[Step]) -> list[str]:
+    """Return in words what happens in some rounds."""
+    lines = []
+    rig.begin()
+    for number, step in enumerate(trail, start=1):
+        rig.clock.advance(1.0)
+        last = rig.kb.log.last
+        lines.append(f"  {number}. {step}")
+        if step.change is not None:
+            step.change.apply(rig.kb)
+        rig.settle()
+        rig.tick(step.answers)
+        rig.settle()
+        for event in rig.kb.log.since(last):
+            if event.verb in ("request_action", "cancel_action") or event.plan:
+                lines.append(f"      {event.text}")
+    return lines
 
 
 def verify(
@@ -147,17 +142,6 @@ def verify(
     return prove(Setup(lambda kb, senses: build_tree(kb), model, **options), suggest=suggest)
 
 
-def setup_of(mission: Mission, **options: Any) -> Setup:  # noqa: ANN401  # arguments of Setup
-    """Return the setup that explores the tree of a mission; MissionError if it has none."""
-    if mission.tree is None:
-        raise MissionError(f"mission {mission.name} has no tree to verify; give it tree=...")
-
-    def build(kb: KnowledgeBase, senses: Senses) -> Behaviour:
-        return build_task("bt", mission, kb, senses).root
-
-    return Setup(build, mission.model, causes=causes_of(mission), **options)
-
-
 def prove(setup: Setup, *, suggest: bool = False) -> Proof:
     """Explore a setup and check it; with `suggest`, look for what mends a broken tree."""
     explored = Exploration(setup).explore()
@@ -168,63 +152,54 @@ def prove(setup: Setup, *, suggest: bool = False) -> Proof:
             advice = {True: "", False: text, None: ""}
             findings = [replace(each, advice=advice[each.holds]) for each in findings]
             break
-    return Proof(explored, findings, consequences(explored), notes(explored))
+    table = [_consequence(explored, bad) for bad in explored.rig.environment.bad]
+    return Proof(explored, findings, table, notes(explored))
 
 
-def consequences(explored: Exploration) -> list[Consequence]:
-    """Return the consequence of each single bad fact."""
-    environment = explored.rig.environment
-    failures = [Change(group[0], True) for group in environment.alike]
-    caused = set(explored.caused())
-    worst = [Change(name, value) for name, value in environment.worst.items()]
-    return [_consequence(explored, bad, caused) for bad in [*failures, *worst]]
-
-
-def _consequence(explored: Exploration, bad: Change, caused: set[int]) -> Consequence:
+def _consequence(explored: Exploration, bad: Fact) -> Consequence:
     """Return what is reached with this fact; a quality that a deed restores need not last."""
-    is_failure = bad.to is True
-    failed = {bad.name} if is_failure else set()
-    facts = {number: explored.situations[number].facts for number in caused}
-    alone = {number for number in caused if facts[number].failed == failed}
-    within = {number for number in alone if is_failure or (*bad,) in facts[number].values}
-    rounds = [each for each in explored.rounds[0] if each.is_caused]
-    first = {each.after for each in rounds if each.step.changes == (bad,)}
+    parts = {bad.name} if bad.kind == "component" else set[str]()
+    alone = {each for each in explored.caused() if failed(each.facts) == parts}
+    within = {each for each in alone if bad in each.facts}
+    rounds = explored.situations[0].rounds
+    first = {each.after for each in rounds if each.step.change == bad and each.is_caused}
     reached = explored.reaching(explored.goals & within, within=within)
     reaches = "nothing"
-    if not within or not (reached or explored.is_finished):
+    if not within or (explored.unexplored and not reached):
         reaches = "not explored"
     elif reached & (first or within):
         reaches = "the goal"
-        restoring = explored.reaching(explored.goals & alone, within=alone, still=True)
-        for name, lowest in explored.rig.environment.worst.items():
-            low = {number for number in alone if (name, lowest) in facts[number].values}
-            is_other = name != bad.name and explored.rig.is_quality(name)
-            if is_other and low and not low & restoring:
-                reaches = f"the goal as long as {name} lasts"
+        restoring = explored.reaching(explored.goals & alone, within=alone, changes=[None])
+        for lowest in explored.rig.environment.bad:
+            low = {each for each in alone if lowest in each.facts}
+            is_quality = lowest.kind == "attribute" and explored.rig.is_quality(lowest.name)
+            if is_quality and lowest != bad and low and not low & restoring:
+                reaches = f"the goal as long as {lowest.name} lasts"
     elif reached:
         reaches = "the goal if it happens later"
-    actions = {name for number in within for name in explored.seen[number].required}
+    actions = {action for each in within for action in each.required}
     return Consequence(str(bad), reaches, sorted(actions))
 
 
 # -------------------------------------------------------------------- idioms that mend a tree
 
-Mend = Callable[[Behaviour], Behaviour]
+Mend = Callable[[], Behaviour]
 """Changes a node; returns it, or what comes in its place."""
 
 
 def _mends(setup: Setup) -> Iterator[tuple[str, Setup]]:
     """Yield what could be written instead, in words, with the setup of the mended tree."""
     for place, node in enumerate(Rig(setup).nodes):
-        for text, mend in _idioms(node):
+        for number, (text, _) in enumerate(_idioms(node)):
 
             def build(
-                kb: KnowledgeBase, senses: Senses, place: int = place, mend: Mend = mend
+                kb: KnowledgeBase, senses: Senses, place: int = place, number: int = number
             ) -> Behaviour:
                 nodes = [*setup.build(kb, senses).iterate()]
                 old = nodes[place]
                 parent = old.parent
-                new = mend(old)
+                _, mend = [*_idioms(old)][number]
+                new = mend()
                 new.parent = parent
                 if parent is None:
                     return new
@@ -239,34 +214,27 @@ def _mends(setup: Setup) -> Iterator[tuple[str, Setup]]:
 def _idioms(node: Behaviour) -> Iterator[tuple[str, Mend]]:
     """Yield the idioms that can be applied to a node."""
     if isinstance(node, RosaAction) and node.even_if_unfeasible:
-        yield f"drop even_if_unfeasible=True of {node.name}", _changed(even_if_unfeasible=False)
+        text = f"drop even_if_unfeasible=True of {node.name}"
+        yield text, partial(_changed, node, even_if_unfeasible=False)
     if isinstance(node, HasStatus) and node.element.name in node.kb.actions:
-        yield f"write IsActionFeasible for {node.name}", _ask
+        text = f"write IsActionFeasible for {node.name}"
+        yield text, partial(IsActionFeasible, node.name, node.kb, node.element.name)
     if isinstance(node, Selector | Parallel) and len(node.children) == 2:
         parts = [acting(child.iterate()) for child in node.children]
         if all(parts):
-            task, other = (part[0].name for part in parts)
-            text = f"write do_until_unfeasible({task}, {other}) in place of {node.name}"
-            yield text, _do_until_unfeasible
+            task, other = (part[0] for part in parts)
+            text = f"write do_until_unfeasible({task.name}, {other.name}) in place of {node.name}"
+            yield text, partial(_do_until_unfeasible, task, other, node.name)
     if isinstance(node, Selector | SequenceNode) and node.memory:
-        yield f"write memory=False in {node.name}", _changed(memory=False)
+        yield f"write memory=False in {node.name}", partial(_changed, node, memory=False)
 
 
-def _changed(**attributes: bool) -> Mend:
-    def mend(node: Behaviour) -> Behaviour:
-        vars(node).update(attributes)
-        return node
-
-    return mend
+def _changed(node: Behaviour, **attributes: bool) -> Behaviour:
+    vars(node).update(attributes)
+    return node
 
 
-def _ask(node: Behaviour) -> Behaviour:
-    assert isinstance(node, HasStatus)
-    return IsActionFeasible(node.name, node.kb, node.element.name)
-
-
-def _do_until_unfeasible(node: Behaviour) -> Behaviour:
-    task, other = (acting(child.iterate())[0] for child in node.children)
+def _do_until_unfeasible(task: Behaviour, other: Behaviour, name: str) -> Behaviour:
     task.parent = None
     other.parent = None
-    return do_until_unfeasible(task, other, name=node.name)
+    return do_until_unfeasible(task, other, name=name)

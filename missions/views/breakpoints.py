@@ -1,18 +1,17 @@
 """Breakpoints: conditions on what a page shows, at which a run or a replay stops.
 
-inspect_pipeline unfeasible      an element has a status battery_level < 0.25             a
-measurement crosses a value "follow pipeline" success        a behaviour of the tree ends its tick
-with a status
+inspect_pipeline unfeasible      an element has a status
+battery_level < 0.25             a measurement crosses a value
+"follow pipeline" success        a behaviour of the tree ends its tick with a status
 """
 
 import operator
 import re
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from difflib import get_close_matches
 from typing import Any, Final
 
-from kb import KnowledgeBaseError, Model, Status
+from kb import KnowledgeBaseError, Model, Status, UnknownName
 from missions.engine.mission import MissionError, Verdict
 from missions.engine.runner import MissionRun
 from missions.views.report import Row, Rows
@@ -25,7 +24,7 @@ _COMPARISONS: Final[dict[str, Callable[[float, float], bool]]] = {
 }
 _LETTERS: Final = {"running": "R", "success": "S", "failure": "F"}
 _SAME: Final = {"failed": "failure"}
-_STATUSES: Final = sorted([*map(str, Status), "running", "success", *_SAME], key=len, reverse=True)
+_STATUSES: Final = sorted([*map(str, Status), *_LETTERS, *_SAME], key=len, reverse=True)
 _FORM: Final = (
     "write ELEMENT STATUS, ATTRIBUTE < VALUE or BEHAVIOUR STATUS, "
     'such as "inspect_pipeline unfeasible" or "battery_level < 0.25"'
@@ -45,55 +44,49 @@ class Breakpoint:
 
     def __init__(self, text: str) -> None:
         self.text = text
+        self._conditions: dict[str, Callable[[Any], bool]]  # on values, by track
+        self._holds: dict[tuple[str, int | str], bool] = {}
         comparison = re.fullmatch(r"\s*(.+?)\s*(<=|>=|<|>)\s*(\S+)\s*", text)
-        self._compare: Callable[[float, float], bool] | None = None
-        self._holds: dict[int | str, bool] = {}
         if comparison is not None:
             self.name, sign, number = comparison.groups()
-            self._compare = _COMPARISONS[sign]
             try:
-                self._value = float(number)
+                limit = float(number)
             except ValueError:
                 raise MissionError(f"{number!r} in breakpoint {text!r} is no number") from None
+            compare = _COMPARISONS[sign]
+            self._conditions = {"value": lambda value: compare(value, limit)}
             return
         words = text.strip()
-        self.status = next((status for status in _STATUSES if words.endswith(f" {status}")), "")
-        name = words.removesuffix(self.status).strip()
+        ending = next((status for status in _STATUSES if words.endswith(f" {status}")), "")
+        name = words.removesuffix(ending).strip()
         self.name = name.removesuffix(" has").removesuffix(" is").strip(" '\"")
-        self.status = _SAME.get(self.status, self.status)
-        if not self.status or not self.name:
+        if not ending or not self.name:
             raise MissionError(f"{text!r} is no breakpoint; {_FORM}")
+        status = _SAME.get(ending, ending)
+        letter = _LETTERS.get(status)
+        self._conditions = {
+            "status": lambda value: bool(value == status),
+            "node": lambda value: bool(value[0] == letter),
+        }
 
     def check(self, model: Model, behaviours: Iterable[str]) -> None:
-        """Raise a MissionError with the nearest names if nothing has this name."""
-        names = list(model.attributes)
-        if self._compare is None:
-            elements = [model.actions, model.functions, model.designs]
-            elements += [model.components, model.configurations]
-            names = [name for mapping in elements for name in mapping] + list(behaviours)
-        if self.name in names:
-            return
-        close = get_close_matches(self.name, names, n=3)
-        advice = f"; did you mean {' or '.join(close)}?" if close else ""
-        raise MissionError(f"breakpoint {self.text!r}: nothing is named {self.name!r}{advice}")
+        """Raise UnknownName with the nearest names if nothing has this name."""
+        kind = "attribute"
+        names = [*model.attributes]
+        if "value" not in self._conditions:
+            kind = "element or behaviour"
+            names = [*model.actions, *model.functions, *model.designs, *behaviours]
+            names += [*model.components, *model.configurations]
+        if self.name not in names:
+            raise UnknownName(kind, self.name, names)
 
     def is_met(self, track: str, key: int | str, name: str, value: Any) -> bool:  # noqa: ANN401  # what a row shows
         """Return whether a row of a page makes the condition hold, which did not hold before."""
-        if name != self.name or value is None:
+        if name != self.name or value is None or track not in self._conditions:
             return False
-        if self._compare is not None:
-            if track != "value":
-                return False
-            holds = self._compare(value, self._value)
-        elif track == "status":
-            holds = value == self.status
-        elif track == "node":
-            holds = value[0] == _LETTERS.get(self.status)
-        else:
-            return False
-        before = self._holds.get(f"{track} {key}", False)
-        self._holds[f"{track} {key}"] = holds
-        return holds and not before
+        before = self._holds.get((track, key), False)
+        self._holds[track, key] = self._conditions[track](value)
+        return self._holds[track, key] and not before
 
 
 class Breakpoints:
@@ -102,35 +95,29 @@ class Breakpoints:
     def __init__(self, met: Callable[[Breakpoint, float], object]) -> None:
         self.all: list[Breakpoint] = []
         self._met = met
-        self._names: dict[tuple[str, int | str], str] = {}
+        self._names: dict[int | str, str] = {}  # of elements and behaviours
 
     def watch(self, rows: Rows) -> None:
         """Hear the rows from now on; what holds already meets no breakpoint."""
-        if self.hear in rows.listeners:
-            return
-        latest, _ = rows.snapshot()
-        for row in latest:
-            self.hear(row)
-        rows.listeners.append(self.hear)
+        if self.hear not in rows.listeners:
+            for row in rows.snapshot()[0]:
+                self.hear(row)
+            rows.listeners.append(self.hear)
 
     def hear(self, row: Row) -> None:
         """Take in a row: (time, track, key, value)."""
         time, track, key, value = row
         if track == "element" and value is not None:
-            self._names["element", key] = value["name"]
+            self._names[key] = value["name"]
         elif track == "tree":
-            for uid, _, _, name, _, _ in value["nodes"]:
-                self._names["node", uid] = name
-        elif track in ("status", "value", "node"):
-            kind = "node" if track == "node" else "element"
-            name = self._names.get((kind, key), "")
-            for breakpoint in self.all:
-                if breakpoint.is_met(track, key, name, value):
-                    self._met(breakpoint, time)
+            self._names |= {uid: name for uid, _, _, name, _, _ in value["nodes"]}
+        for breakpoint in self.all:
+            if breakpoint.is_met(track, key, self._names.get(key, ""), value):
+                self._met(breakpoint, time)
 
 
 def read_breakpoints(run: MissionRun, texts: Iterable[str]) -> list[Breakpoint]:
-    """Return breakpoints of a run; MissionError if one has no meaning, or nothing has its name."""
+    """Return breakpoints of a run; an error says if one has no meaning, or nothing has its name."""
     behaviours = [] if run.tree is None else [node.name for node in run.tree.root.iterate()]
     breakpoints = [Breakpoint(text) for text in texts]
     for breakpoint in breakpoints:

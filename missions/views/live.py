@@ -28,7 +28,7 @@ from missions.engine.runner import Listener, MissionRun
 from missions.views.breakpoints import Breakpoint, Breakpoints, read_breakpoints
 from missions.views.facts import supposed
 from missions.views.recorder import Recorder
-from missions.views.report import encoded, page_of
+from missions.views.report import Row, encoded, page_of
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 PORT: Final = 8420
 FASTEST: Final = 1000.0
 """The highest speed [times real time]."""
-_LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
+_LOOPBACK: Final = ("127.0.0.1", "localhost")
 KEEP: Final = 100_000
 """How many rows a live page can look back at."""
 BEAT_S: Final = 0.1
@@ -61,10 +61,11 @@ _HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",
 }
 _SERVER: Final[dict[str, Any]] = {
-    **{"compression": None, "max_size": _LONGEST, "server_header": None, "close_timeout": 1},
-    "logger": logging.Logger(
-        "live page", logging.CRITICAL
-    ),  # errors of a page are reported to the page
+    "compression": None,
+    "max_size": _LONGEST,
+    "server_header": None,
+    "close_timeout": 1,
+    "logger": logging.Logger("live page", logging.CRITICAL),  # a page is told its errors
 }
 
 
@@ -216,14 +217,8 @@ class LiveView(AbstractContextManager["LiveView"]):
         self._token = token if token is not None or host in _LOOPBACK else token_urlsafe(16)
         self._socket = _listening(host, port)
         port = self._socket.getsockname()[1]
-        self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]", host)}
-        shown_host = (
-            socket.gethostname()
-            if host in ("0.0.0.0", "::")
-            else f"[{host}]"
-            if ":" in host
-            else host
-        )
+        self._hosts = {f"{name}:{port}" for name in (*_LOOPBACK, host)}
+        shown_host = socket.gethostname() if host == "0.0.0.0" else host
         query = f"?token={quote(self._token)}" if self._token else ""
         self._place = f"http://{shown_host}:{port}/"
         self.url = f"{self._place}{query}"
@@ -234,9 +229,9 @@ class LiveView(AbstractContextManager["LiveView"]):
         document = {"run": None, "live": {"socket": f"/ws{query}"}, "note": ""}
         self._page = page_of(document, str(self.recorder.header["title"]))
         self._rows = self.recorder.rows
-        self._pages: dict[_Page, None] = {}
+        self._pages: set[ServerConnection] = set()
         self._end = self._rows.next
-        self._frames: dict[int, tuple[int, str]] = {}
+        self._frames: dict[int, str] = {}
         self._is_closing = False
         self._beat = asyncio.Event()
         self._thread = Thread(
@@ -276,16 +271,14 @@ class LiveView(AbstractContextManager["LiveView"]):
                 closing_s += BEAT_S * self._is_closing
                 await asyncio.sleep(BEAT_S)
 
-    def _framed(self, start: int) -> tuple[int, str]:
-        """Return the first row's number and the message with the rows up to the last beat.
-
-        Made once for all pages.
-        """
+    def _framed(self, start: int) -> str:
+        """Return the message with the rows up to the last beat, made once for all pages."""
         if start not in self._frames:
-            first, rows = self._rows.since(start, self._end - start)
-            text = encoded({"rows": rows, "from": first, "now": self._now, "state": self._state})
-            self._frames[start] = first, text
+            self._frames[start] = self._message(self._rows.since(start, self._end - start)[1])
         return self._frames[start]
+
+    def _message(self, rows: list[Row], **more: object) -> str:
+        return encoded({"rows": rows, "now": self._now, "state": self._state, **more})
 
     @property
     def _state(self) -> dict[str, Any]:
@@ -313,115 +306,85 @@ class LiveView(AbstractContextManager["LiveView"]):
 
     def _admit(self, connection: "ServerConnection", request: "Request") -> "Response | None":
         """Answer a request for the page, or refuse it; return None to open the WebSocket."""
-        method = getattr(request, "method", "GET")  # before version 17 there is no other
-        if method not in ("GET", "HEAD"):
-            refused = connection.respond(405, "the page is only read: GET or HEAD\n")
-            refused.headers["Allow"] = "GET, HEAD"
-            return refused
         try:
             path = urlsplit(request.path)
             refusal = self._refusal(request.headers, parse_qs(path.query).get("token", [""])[0])
-            if refusal:
-                return connection.respond(403, refusal + "\n")
         except (LookupError, ValueError):  # a header twice, a malformed address or text
-            return connection.respond(
-                400, f"the address, host or origin is malformed; open {self._place}\n"
-            )
-        if (
-            path.path == "/ws" and len(self._pages) >= _MOST_PAGES
-        ):  # each takes a file descriptor of the robot
-            return connection.respond(503, f"{_MOST_PAGES} pages are open already\n")
+            words = f"the address, host or origin is malformed; open {self._place}\n"
+            return connection.respond(400, words)
+        if refusal:
+            return connection.respond(403, refusal + "\n")
         if path.path == "/ws":
-            return None
-        response = (
-            connection.respond(200, self._page)
-            if path.path == "/"
-            else connection.respond(404, "\n")
-        )
+            if len(self._pages) < _MOST_PAGES:  # each takes a file descriptor of the robot
+                return None
+            return connection.respond(503, f"{_MOST_PAGES} pages are open already\n")
+        if path.path != "/":
+            return connection.respond(404, "\n")
+        response = connection.respond(200, self._page)
         del response.headers["Content-Type"]
         response.headers.update(_HEADERS)
-        if method == "HEAD":
-            response.body = b""
         return response
 
     async def _attend(self, websocket: "ServerConnection") -> None:
-        page = _Page(websocket)
-        self._pages[page] = None
-        showing = asyncio.create_task(self._show(page))
+        self._pages.add(websocket)
+        showing = asyncio.create_task(self._show(websocket))
         try:
-            await self._listen(page)
+            await self._listen(websocket)
         finally:
             showing.cancel()
-            del self._pages[page]
+            self._pages.remove(websocket)
 
-    async def _show(self, page: "_Page") -> None:
-        """Send new rows as they come, as fast as this page takes them."""
+    async def _show(self, page: "ServerConnection") -> None:
+        """Send the present, the past and then new rows as they come, as fast as a page takes them.
+
+        A page that is too slow gets the present again instead of the rows that it has missed.
+        """
         from websockets.exceptions import ConnectionClosed
 
+        rows = self._rows
+        dropped = 0
         with suppress(ConnectionClosed):
-            await self._greet(page)
-            while not (self._is_closing and page.next == self._rows.next):
+            latest, following = rows.snapshot()
+            may = [] if self._steering is None else ["pause", "speed", "break", "inject"]
+            await page.send(self._message(latest, hello=self.recorder.header, may=may))
+            for start in range(rows.first, following, _PAST):
+                past = rows.since(start, min(_PAST, following - start))[1]
+                await page.send(self._message(past))
+            while not (self._is_closing and following == rows.next):
                 beat = self._beat
-                if self._rows.next - page.next > _BEHIND:
-                    page.dropped += self._rows.next - page.next
-                    await self._greet(page)
-                elif page.next < self._end or await beat.wait():
-                    first, text = self._framed(page.next)
-                    page.dropped += first - page.next
-                    page.next = self._end
-                    await page.websocket.send(text)
-            await page.websocket.close(1000, "the view is closed")
+                if rows.next - following > _BEHIND:
+                    dropped += rows.next - following
+                    latest, following = rows.snapshot()
+                    await page.send(self._message(latest, dropped=dropped))
+                elif following < self._end or await beat.wait():
+                    text = self._framed(following)
+                    following = self._end
+                    await page.send(text)
+            await page.close(1000, "the view is closed")
 
-    async def _greet(self, page: "_Page") -> None:
-        rows, following = self._rows.snapshot()
-        greeting = {
-            "hello": self.recorder.header,
-            "rows": rows,
-            "first": self._rows.first,
-            "next": following,
-        }
-        greeting |= {"now": self._now, "dropped": page.dropped, "state": self._state}
-        greeting["may"] = [] if self._steering is None else ["pause", "speed", "break", "inject"]
-        await page.websocket.send(encoded(greeting))
-        page.next = following
-
-    async def _listen(self, page: "_Page") -> None:
+    async def _listen(self, page: "ServerConnection") -> None:
         """Answer what a page asks, until it disconnects."""
-        async for text in page.websocket:
+        async for text in page:
             asked: Any = None
             try:
                 asked = json.loads(text)
                 answer = self._answer(asked)
             except (KnowledgeBaseError, MissionError) as error:
                 answer = {"error": str(error)}
-            except (
-                ValueError,
-                ArithmeticError,
-                TypeError,
-                KeyError,
-                AttributeError,
-                RecursionError,
-            ) as error:
+            except Exception as error:  # whatever a message that is no page's makes of it
                 answer = {"error": f"that is not a message of a page: {type(error).__name__}"}
             if answer is not None:
                 number = asked.get("id") if isinstance(asked, dict) else None
-                await page.websocket.send(
-                    encoded(answer if number is None else {"id": number, **answer})
-                )
+                await page.send(encoded({"id": number, **answer}))
 
     def _answer(self, asked: Mapping[str, Any]) -> dict[str, Any] | None:
-        if "past" in asked:
-            start, end = map(int, asked["past"])
-            start, rows = self._rows.since(start, max(0, min(end - start, _PAST)))
-            return {"past": rows, "from": start}
         if asked.get("ask") == "whatif":
             situation = self._kb.situation(
                 dict(asked.get("measured", {})),
                 failed=list(asked.get("failed", ())),
                 recovered=list(asked.get("recovered", ())),
             )
-            outcome = supposed(self._kb, situation, self.recorder.names)
-            return {"whatif": {"t": self._now, **outcome}}
+            return {"whatif": supposed(self._kb, situation)}
         if self._steering is None:
             raise MissionError(
                 "this page may only watch; with --allow-control, pages may control a simulation"
@@ -430,22 +393,13 @@ class LiveView(AbstractContextManager["LiveView"]):
         return None
 
 
-class _Page:
-    """A page in a browser: the number of the next row to send, and how many rows it missed."""
-
-    def __init__(self, websocket: "ServerConnection") -> None:
-        self.websocket = websocket
-        self.next = self.dropped = 0
-
-
 def _listening(host: str, port: int) -> socket.socket:
     if not 0 <= port <= 65535:
         raise MissionError(
             f"a port must be a number from 0 (any that is free) to 65535, not {port}"
         )
     try:
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        return socket.create_server((host, port), family=family)
+        return socket.create_server((host, port))
     except OSError as error:
         said = os.strerror(error.errno) if error.errno else error
         raise MissionError(

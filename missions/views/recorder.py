@@ -1,8 +1,9 @@
 """Makes the rows of pages, reports and recordings from a knowledge base and a tree."""
 
 import logging
-from collections import deque
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from html import escape
 from itertools import count
 from math import inf, isfinite
 from typing import Any, Final
@@ -16,13 +17,14 @@ from py_trees.trees import BehaviourTree
 from py_trees.visitors import VisitorBase
 
 from kb import DiagnosticProblem, Event, KnowledgeBase, ReconfigurationPlan, RequiredAction
+from kb.network import Node
 from missions.engine.adaptations import Adaptation, AdaptationLog, is_news, plans_after
 from missions.engine.mission import Message, MissionError, Sample, Verdict
 from missions.engine.runner import Listener, MissionRun, RosaRun
 from missions.engine.task_layer import has_plans
-from missions.views.facts import KINDS, ElementTable, Names, cases, chain_of, level_of
-from missions.views.output import figure_in_words, plain
-from missions.views.report import Recorded, Rows, framed, write_report
+from missions.views.facts import cases, chain_of, described, facts_of, key_of, level_of, reasons
+from missions.views.output import figure_in_words
+from missions.views.report import Recorded, Rows, report, write_report
 from rosa_bt import HasStatus, IsActionFeasible, TreeRunner
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.exceptions import errors_of
@@ -60,7 +62,6 @@ class Recorder:
         tree: the tree that decides, a `TreeRunner` or a py_trees tree; None if there is none. It
             may change.
         title: of the page; by default the name of the model.
-        units: of attributes, by name, e.g. {"water_visibility": "m"}.
         pose: returns the robot's position (x, y, z) [m], world frame, z up; called at most twice a
             second.
         scene: what the map shows: points (n, 2) [m], world frame, by name.
@@ -68,7 +69,7 @@ class Recorder:
         what_if: whether to work out, whenever news changes a status, what would be feasible if
             another value had been measured.
         header: of a run whose adaptations come by `adapted` or as rows, and are not looked for
-            here; has the units.
+            here.
 
     Raises:
         MissionError: `tree` is a behaviour, not a tree that ticks one.
@@ -80,19 +81,21 @@ class Recorder:
         tree: TreeRunner | BehaviourTree | None = None,
         *,
         title: str = "",
-        units: Mapping[str, str] | None = None,
         pose: Callable[[], Sequence[float]] | None = None,
         scene: Mapping[str, Iterable[Sequence[float]]] | None = None,
         keep: int | None = None,
         what_if: bool = True,
         header: Mapping[str, Any] | None = None,
     ) -> None:
+        if isinstance(tree, Behaviour):
+            raise MissionError(
+                f"{tree.name!r} is a behaviour; give the TreeRunner or py_trees tree that ticks it"
+            )
         self.rows = Rows(keep)
         self.header: dict[str, Any] = {
             "live": False,
             "title": title or kb.model.name,
             "model": kb.model.name,
-            "units": dict(units or {}),
             "mission": "",
             "words": "",
             "task": "",
@@ -107,18 +110,13 @@ class Recorder:
         self._own = None
         if header is None:
             self._own = AdaptationLog(kb, self.adapted, lambda: self._task_plans)
-        self._elements = ElementTable(kb)
-        self._standing: dict[tuple[int, str], bool | str] = {}
-        self._events: deque[Event] = deque(maxlen=_REMEMBERED)
-        self._supposed = self._adapted = self._planned = self._troubles = 0
+        self._elements: dict[str, Node] = {}
+        self._counts = Counter[str]()  # by track
+        self._troubles: set[str] = set()
         self._posed_at = -inf
         self._task_plans: list[Any] = []
         self._last_plans: dict[Any, Any] = {}  # by behaviour
-        if isinstance(tree, Behaviour):
-            raise MissionError(
-                f"{tree.name!r} is a behaviour; give the TreeRunner or py_trees tree that ticks it"
-            )
-        self._look(kb.now)
+        self._describe(kb.now)
         for action in kb.required_actions:
             self.acted(action.number, action)
         self._tree = (
@@ -133,19 +131,43 @@ class Recorder:
         shown = []
         for name, points in scene.items():
             pairs = [[round(float(point[0]), 3), round(float(point[1]), 3)] for point in points]
-            shown.append(
-                {"name": name, "points": pairs, "shape": "line" if len(pairs) > 1 else "point"}
-            )
-        self.rows.put(self.kb.now, "scene", 0, shown)
+            shape = "line" if len(pairs) > 1 else "point"
+            shown.append({"name": name, "points": pairs, "shape": shape})
+        self.put("scene", 0, shown)
 
-    def put(self, track: str, key: int | str, value: object, time: float | None = None) -> None:
-        """Add a row at a time [s], by default now, to a track such as "signal" or "problem"."""
-        self.rows.put(self.kb.now if time is None else time, track, key, value)
+    def put(self, track: str, key: int | str, value: object, time: float | None = None) -> bool:
+        """Add a row at a time [s], by default now, to a track such as "signal".
 
-    @property
-    def names(self) -> Names:
-        """The number of each element, by kind and name."""
-        return self._elements.names
+        Returns:
+            Whether that is news.
+        """
+        return self.rows.put(self.kb.now if time is None else time, track, key, value)
+
+    def log(
+        self,
+        track: str,
+        level: str,
+        words: str,
+        time: float | None = None,
+        key: int | str | None = None,
+        **more: object,
+    ) -> None:
+        """Add an entry of the event log, with what else a page shows of it.
+
+        The time [s] is now by default, the key the next number of the track. A level is "info",
+        "warning" or "error".
+        """
+        if key is None:
+            self._counts[track] += 1
+            key = self._counts[track]
+        now = self.kb.now
+        entry: dict[str, Any] = {
+            "t": now if time is None else time,
+            "level": level,
+            "words": words,
+            **more,
+        }
+        self.put(track, key, entry, min(now, entry["t"]))
 
     @property
     def recorded(self) -> Recorded:
@@ -162,98 +184,65 @@ class Recorder:
         self._stop()
         if self._tree is not None:
             self._tree.let_go()
-        self.rows.put(self.kb.now, "now", 0, "end")
+        self.put("now", 0, "end")
 
     def _repr_html_(self) -> str:
-        return framed(self.recorded)
+        style = "width: 100%; height: 50rem; border: 0"
+        return f'<iframe srcdoc="{escape(report(self.recorded))}" style="{style}"></iframe>'
 
     # ---------------------------------------------------------------- events of the knowledge base
 
     def _hear(self, event: Event) -> None:
         time = event.time
         if event.verb == "measure":
-            if ("attribute", event.subject) not in self.names:
-                self._look(time)
-            self.rows.put(time, "value", self.names["attribute", event.subject], event.arguments[1])
+            self.put("value", f"attribute {event.subject}", event.arguments[1], time)
             if not event.changes:
                 return
-        self._events.append(event)
-        shown = {"verb": event.verb, "words": event.text, "kind": str(event.kind)}
-        shown["level"] = level_of(event)
-        plain_event = event.to_json()
-        shown |= {name: plain_event[name] for name in ("cause", "changes") if name in plain_event}
-        self.rows.put(time, "event", event.number, shown)
-        self._look(time, event)
-        self._note_records(event)
-        if (
-            self._what_if
-            and any(change.kind != "constraint" for change in event.changes)
-            and is_news(self.kb, event)
-        ):
-            self.suppose(time)
-        if self._own is not None and self._tree is None:
-            self._own.ticking(time)
-            self._own.settle()
-
-    def _look(self, time: float, event: Event | None = None) -> None:
-        """Write rows for what an event has changed of any element, and why.
-
-        Without an event, for all there is.
-        """
-        kinds: Collection[str] = {change.kind for change in event.changes} if event else KINDS
-        if event is None or event.verb == "amend":
-            kinds = KINDS
-            for number, element in self._elements.describe(self.header["units"]):
-                self.rows.put(time, "element", number, element)
-        changed: dict[int, str] = {}
-        for number, kind, track, value in self._elements.standing(kinds):
-            before = self._standing.get((number, track))
-            if value == before:
-                continue
-            self._standing[number, track] = value
-            changed[number] = kind
-            if value or before is not None:
-                self.rows.put(time, track, number, value if track == "status" else int(value))
-        owners: dict[int, None] = {}
-        for number, kind in changed.items():
-            if kind in ("constraint", "attribute"):
-                continue
-            for track, value in self._elements.explain(number).items():
-                self.rows.put(time, track, number, value)
-            owner = self._elements.owner(number)
-            if owner is not None and owner not in changed:
-                owners[owner] = None
-        for owner in owners:
-            for track, value in self._elements.choice(owner).items():
-                self.rows.put(time, track, owner, value)
-
-    def _note_records(self, event: Event) -> None:
-        """Write rows for the action, plan or parameters that an event changed."""
-        time = event.time
-        rows = self.rows
-        names = self.names
+        more: dict[str, Any] = {"verb": event.verb, "changes": event.changes}
+        self.log("event", level_of(event), event.text, time, event.number, **more)
+        if event.verb == "amend":
+            self._describe(time)
+        else:
+            self._look(time)
         if event.verb in ("request_action", "cancel_action"):
             records = reversed(self.kb.history.actions)
             record = next(record for record in records if record.action == event.subject)
             self.acted(record.number, record)
-        elif event.plan is not None or event.verb == "finish_plan":
-            for plan in reversed(self.kb.plans):
-                shown = {"words": str(plan), "cause": plan.cause, **_ending(plan)}
-                for word in ("activate", "deactivate"):
-                    shown[word] = [names["component", name] for name in getattr(plan, word)]
-                shown["configurations"] = [names["configuration", name] for name in plan.parameters]
-                rows.put(time, "plan", plan.number, shown)
-                if plan.end is not None and plan.end < time:
-                    break
-        if event.verb in ("finish_attempt", "component_active"):
-            for name, view in self.kb.components.items():
-                if view.parameters_in_force:
-                    rows.put(
-                        time,
-                        "parameters",
-                        names["component", name],
-                        plain(view.parameters_in_force),
-                    )
+        for plan in reversed(self.kb.plans):
+            self.put("plan", plan.number, {"words": str(plan), **_span(plan)}, time)
+            if plan.end is not None and plan.end < time:
+                break
+        is_change = any(change.kind != "constraint" for change in event.changes)
+        if self._what_if and is_change and is_news(self.kb, event):
+            self._suppose(time)
+        if self._own is not None and self._tree is None:
+            self._own.ticking(time)
+            self._own.settle()
+
+    def _describe(self, time: float) -> None:
+        """Write rows for all elements that there are now."""
+        with self.kb.reading() as state:
+            present = {key_of(node): node for node in state.network.present()}
+        for key in self._elements:
+            if key not in present:
+                self.put("element", key, None, time)
+        for key, node in present.items():
+            self.put("element", key, described(node), time)
+        self._elements = present
+        self._look(time)
+
+    def _look(self, time: float) -> None:
+        """Write rows for what has changed of any element, and why."""
+        changed: dict[str, Node] = {}
+        for key, track, value in facts_of(self.kb, self._elements):
+            node = self._elements[key]
+            if self.put(track, key, value, time) and node.kind not in ("attribute", "constraint"):
+                changed[key] = node
+                if node.kind in ("function design", "configuration"):
+                    changed[key_of(node.used_by[0])] = node.used_by[0]
+        for key, node in changed.items():
+            for track, reason in reasons(self.kb, node).items():
+                self.put(track, key, reason, time)
 
     # ---------------------------------------------------------------- the task layer
 
@@ -270,17 +259,17 @@ class Recorder:
         for behaviour in planning:
             for plan in plans_after(self._last_plans.get(behaviour), behaviour.plans):
                 self._last_plans[behaviour] = plan
-                self._planned += 1
                 self._task_plans.append(plan)
-                shown = {name: getattr(plan, name) for name in ("engine", "reason", "message")}
-                shown |= {
-                    "asked": plan.at_s,
+                steps = list(map(str, plan.steps))
+                level = "info" if plan.outcome.is_solved else "warning"
+                result = ", ".join(steps) or plan.message or plan.reason
+                words = f"planner ({plan.engine}): {plan.outcome}; {result}"
+                more: dict[str, Any] = {
                     "outcome": str(plan.outcome),
-                    "solved": plan.outcome.is_solved,
+                    "reason": plan.reason,
+                    "steps": steps,
                 }
-                self.put(
-                    "taskplan", self._planned, shown | {"steps": [str(step) for step in plan.steps]}
-                )
+                self.log("taskplan", level, words, plan.at_s, **more)
         if self._pose is not None and self.kb.now >= self._posed_at + POSE_PERIOD_S - 1e-9:
             self._posed_at = self.kb.now
             self.posed(self.kb.now, self._pose())
@@ -288,53 +277,48 @@ class Recorder:
     def posed(self, time: float, position: Sequence[float]) -> None:
         """Write the robot's position (x, y, z) [m], unless it is not known (NaN)."""
         if all(map(isfinite, position)):
-            self.rows.put(time, "pose", 0, [round(float(metres), 3) for metres in position])
+            self.put("pose", 0, [round(float(metres), 3) for metres in position], time)
 
     def acted(self, number: int, action: RequiredAction) -> None:
         """Write an action that has begun or ended."""
-        shown = {"action": self.names["action", action.action], "cause": action.cause}
-        self.put("action", number, shown | _ending(action))
+        self.put("action", number, {"action": f"action {action.action}", **_span(action)})
 
     def adapted(self, adaptation: Adaptation) -> None:
         """Write an adaptation that is over, with the chain from cause to effect."""
-        self._adapted += 1
-        nodes = {} if self._tree is None else self._tree.about
-        shown = {
-            "t": adaptation.at_s,
-            "kind": adaptation.kind,
+        log = self.kb.log
+        kind = adaptation.kind
+        more: dict[str, Any] = {
+            "kind": kind,
             "cause": adaptation.trigger,
             "decided": adaptation.reason,
             "changed": adaptation.change,
             "reaction": adaptation.reaction_s,
-            "in_force": plain(adaptation.in_force_s),
-            "chain": chain_of(adaptation, tuple(self._events), self._task_plans, self.names, nodes),
+            "chain": chain_of(adaptation, [*log.since(log.last - _REMEMBERED)], self._task_plans),
         }
-        self.put("adaptation", self._adapted, shown)
+        words = f"{kind} adaptation: {adaptation.change}; why: {adaptation.reason}"
+        self.log("adaptation", "info", words, adaptation.at_s, **more)
         if self._own is not None:
             self._own.adaptations.clear()  # the row is enough
         if self._what_if:
-            self.suppose(self.kb.now)
+            self._suppose(self.kb.now)
 
-    def suppose(self, time: float) -> None:
+    def _suppose(self, time: float) -> None:
         """Work out and write what would be feasible if other values had been measured."""
-        self._supposed += 1
-        self.rows.put(
-            time, "whatif", self._supposed, {"t": time, "cases": cases(self.kb, self.names)}
-        )
+        self.put("whatif", 0, cases(self.kb), time)
 
     def trouble(self, words: str) -> None:
-        """Write what went wrong, in a sentence."""
-        self._troubles += 1
-        self.put("problem", self._troubles, words)
+        """Write what went wrong, in a sentence, once."""
+        if words not in self._troubles:
+            self._troubles.add(words)
+            self.log("problem", "error", words)
 
-    def elements_of(self, behaviour: Behaviour) -> list[int]:
-        """Return the number of the action of a behaviour in a list, empty if it has none."""
+    def elements_of(self, behaviour: Behaviour) -> list[str]:
+        """Return the key of the action of a behaviour in a list, empty if it has none."""
         try:
-            action = getattr(behaviour, "action", None)
+            key = f"action {behaviour.action}"  # type: ignore[attr-defined]  # if it has one
         except Exception:  # py_trees raises several kinds if a port is not connected yet
             return []
-        index = self.names.get(("action", action)) if isinstance(action, str) else None
-        return [] if index is None else [index]
+        return [key] if key in self._elements else []
 
 
 class _TreeRows(VisitorBase):
@@ -345,14 +329,10 @@ class _TreeRows(VisitorBase):
         self._recorder = recorder
         self._behaviours = tree
         self._ids: dict[Behaviour, int] = {}
-        self._known: dict[Behaviour, tuple[str, str]] = {}
         self._below: list[tuple[Behaviour, list[Behaviour]]] = []
         self._planning: list[Behaviour] = []
-        self._ticked: dict[Behaviour, tuple[str, str]] = {}
-        self._raised: set[Behaviour] = set()
-        self._count = 0
+        self._ticked: dict[Behaviour, list[str]] = {}
         self._numbers = count()
-        self.about: dict[int, list[int]] = {}
         self._describe()
         tree.add_visitor(self)
 
@@ -365,7 +345,7 @@ class _TreeRows(VisitorBase):
         self._harmlessly(self._recorder.ticking)
 
     def run(self, behaviour: Behaviour) -> None:
-        self._ticked[behaviour] = _LETTERS[behaviour.status], behaviour.feedback_message
+        self._ticked[behaviour] = [_LETTERS[behaviour.status], behaviour.feedback_message]
 
     def finalise(self) -> None:
         self._harmlessly(self._note)
@@ -381,24 +361,15 @@ class _TreeRows(VisitorBase):
     def _note(self) -> None:
         recorder = self._recorder
         for behaviour, _ in errors_of(self._behaviours.root):
-            if behaviour not in self._raised:
-                self._raised.add(behaviour)
-                recorder.trouble(f"{behaviour.name}: {behaviour.feedback_message}")
+            recorder.trouble(f"{behaviour.name}: {behaviour.feedback_message}")
         is_news = any(parent.children != children for parent, children in self._below)
         if is_news:
             self._describe()
-        present = {
-            behaviour: (_LETTERS[behaviour.status].lower(), behaviour.feedback_message)
-            for behaviour in self._ids
-        } | self._ticked
         for behaviour, uid in self._ids.items():
-            if present[behaviour] != self._known.get(behaviour):
-                self._known[behaviour] = present[behaviour]
-                recorder.put("node", uid, list(present[behaviour]))
-                is_news = True
+            since_before = [_LETTERS[behaviour.status].lower(), behaviour.feedback_message]
+            is_news |= recorder.put("node", uid, self._ticked.get(behaviour, since_before))
         if is_news:
-            recorder.put("tick", 0, self._count)
-        self._count += 1
+            recorder.put("tick", 0, self._behaviours.count)
         recorder.ticked(self._planning)
 
     def _describe(self) -> None:
@@ -406,31 +377,22 @@ class _TreeRows(VisitorBase):
         nodes = []
         parents: list[tuple[Behaviour, int | None]] = [(self._behaviours.root, None)]
         present: dict[Behaviour, int] = {}
-        self._below = []
-        self._planning = []
-        self.about = {}
         while parents:
             behaviour, parent = parents.pop()
             if behaviour in present:
                 continue
-            uid = present[behaviour] = (
-                self._ids[behaviour] if behaviour in self._ids else next(self._numbers)
-            )
+            uid = self._ids[behaviour] if behaviour in self._ids else next(self._numbers)
+            present[behaviour] = uid
             parents += [(child, uid) for child in reversed(behaviour.children)]
-            self._below.append((behaviour, list(behaviour.children)))
-            if has_plans(behaviour):
-                self._planning.append(behaviour)
-            elements = recorder.elements_of(behaviour)
-            for index in elements:
-                self.about.setdefault(index, []).append(uid)
-            nodes.append(
-                [uid, parent, type(behaviour).__name__, behaviour.name, _shape(behaviour), elements]
-            )
+            about = recorder.elements_of(behaviour)
+            kind = type(behaviour).__name__
+            nodes.append([uid, parent, kind, behaviour.name, _shape(behaviour), about])
         for behaviour, uid in self._ids.items():
             if behaviour not in present:
                 recorder.put("node", uid, None)
-                self._known.pop(behaviour, None)
         self._ids = present
+        self._below = [(behaviour, list(behaviour.children)) for behaviour in present]
+        self._planning = list(filter(has_plans, present))
         recorder.put("tree", 0, {"name": self._behaviours.root.name, "nodes": nodes})
 
 
@@ -443,13 +405,8 @@ def _shape(behaviour: Behaviour) -> str:
     return "other" if behaviour.children else "action"
 
 
-def _ending(record: RequiredAction | ReconfigurationPlan) -> dict[str, Any]:
-    return {
-        "start": record.start,
-        "end": record.end,
-        "result": record.result,
-        "reason": record.reason,
-    }
+def _span(record: RequiredAction | ReconfigurationPlan) -> dict[str, Any]:
+    return {"start": record.start, "end": record.end, "result": record.result}
 
 
 class RunRecorder(Listener):
@@ -474,13 +431,11 @@ class RunRecorder(Listener):
     ) -> None:
         self._run = run
         self._scene: tuple[str, ...] | None = None
-        self._disturbed: set[tuple[float, str]] = set()
         is_ours = isinstance(run, RosaRun)
         kb = run.kb if is_ours else KnowledgeBase(run.model, clock=lambda: run.world.now)
         self._own = None if is_ours else kb
-        self._sample = sample = run.ask("sample")
-        self._measured = frozenset(kb.attributes)
-        signals = dict(map(_split, sample.signals if sample else ()))
+        self._sample = run.ask("sample")
+        signals = self._sample.signals if self._sample else ()
         header = {
             "title": run.mission.name,
             "mission": run.mission.name,
@@ -489,27 +444,20 @@ class RunRecorder(Listener):
             "manager": run.manager,
             "seed": seed,
             "settings": dict(sorted(settings.items())),
-            "signals": list(signals),
-            "units": {name: unit for name, unit in signals.items() if unit},
+            "signals": list(map(_name_of, signals)),
         }
-        tree = getattr(run, "tree", None)
-        self.recorder = Recorder(kb, tree, keep=keep, what_if=what_if, header=header)
+        self.recorder = Recorder(kb, run.tree, keep=keep, what_if=what_if, header=header)
         self._show()
         run.listen(self)
 
     def end(self, verdict: Verdict) -> None:
         run = self._run
         self._show()
-        figures = [
-            list(figure_in_words(name, value, run.model)) for name, value in run.results().items()
-        ]
-        shown = {
-            "outcome": verdict.outcome,
-            "success": verdict.success,
-            "reason": verdict.reason,
-            "figures": figures,
-        }
-        self.recorder.put("result", 0, shown)
+        figures = [figure_in_words(name, value, run.model) for name, value in run.results().items()]
+        level = "info" if verdict.success else "error"
+        words = f"{verdict.outcome}: {verdict.reason}"
+        more = {name: getattr(verdict, name) for name in ("outcome", "success", "reason")}
+        self.recorder.log("result", level, words, key=0, figures=figures, **more)
         self.recorder.close()
 
     def message(self, message: Message) -> None:
@@ -534,24 +482,19 @@ class RunRecorder(Listener):
         if sample is not None:
             recorder.posed(sample.time, sample.position)
             for signal, value in sample.signals.items():
-                if _split(signal)[0] not in self._measured:
+                if _name_of(signal) not in recorder.kb.attributes:  # it is written as a value
                     recorder.put("signal", signal, round(value, 4))
         scenery = run.ask("scenery")
         if tuple(scenery) != self._scene:  # names alone tell that it has changed
             self._scene = tuple(scenery)
             recorder.show(scenery)
-        for time, text in run.disturbances():
-            if (time, text) not in self._disturbed:
-                self._disturbed.add((time, text))
-                number = len(self._disturbed)
-                recorder.put("disturbance", number, {"t": time, "words": text})
+        for number, (time, text) in enumerate(run.disturbances(), start=1):
+            recorder.log("disturbance", "warning", text, time, number)
         if self._own is not None:
             for number, action in enumerate(run.actions, start=1):
                 recorder.acted(number, action)
 
 
-def _split(signal: str) -> tuple[str, str]:
-    """Return the attribute and the unit in a signal's name, e.g. "water visibility [m]"."""
-    name, _, unit = signal.partition(" [")
-    unit = unit.rstrip("]")
-    return name.replace(" ", "_"), "" if unit == "-" else unit
+def _name_of(signal: str) -> str:
+    """Return the attribute in the name of a signal, e.g. of "water visibility [m]"."""
+    return signal.partition(" [")[0].replace(" ", "_")

@@ -6,11 +6,14 @@ gets the same rows as they come, and a recording holds the same rows in a file.
 """
 
 import json
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
+from itertools import chain
 from math import isfinite
+from operator import itemgetter
 from pathlib import Path
 from threading import Lock
 from typing import Any, Final
@@ -19,10 +22,12 @@ from missions.engine.mission import MissionError
 from missions.views.output import OutputFile, plain
 
 NUMBERED: Final = frozenset(
-    {"event", "action", "plan", "taskplan", "adaptation", "whatif", "disturbance", "problem"}
+    {"event", "action", "plan", "taskplan", "adaptation", "disturbance", "problem"}
 )
-"""The tracks whose keys are growing numbers, one for each thing that happened; their oldest entries
-can be dropped."""
+"""The tracks with a key for each thing that happened; their oldest entries can be dropped."""
+
+LOGGED: Final = ("event", "taskplan", "adaptation", "disturbance", "problem", "result")
+"""The tracks whose entries are the event log; each has the time `t` [s], `level` and `words`."""
 
 VERBATIM: Final = frozenset(
     {
@@ -68,7 +73,7 @@ class Rows:
         self.listeners: list[Callable[[Row], None]] = []
         self._keep = keep
         self._rows: list[Row] = []
-        self._latest: dict[tuple[str, int | str], Row] = {}
+        self._latest: defaultdict[str, dict[int | str, Row]] = defaultdict(dict)
         self._lock = Lock()
         self._now = 0.0
 
@@ -81,21 +86,32 @@ class Rows:
         """Time of the last row [s]."""
         return self._now
 
-    def put(self, time: float, track: str, key: int | str, value: object) -> None:
-        """Append a row, unless its value is the current one; a measurement is always appended."""
+    def put(self, time: float, track: str, key: int | str, value: object) -> bool:
+        """Append a row, unless its value is the current one; a measurement is always appended.
+
+        Returns:
+            Whether it was appended.
+        """
         if isinstance(value, float) and not isfinite(value):
             value = None
         with self._lock:
-            before = self._latest.get((track, key))
-            if before is not None and before[3] == value and track != "value":
-                return
+            latest = self._latest[track]
+            current = latest[key][3] if key in latest else None
+            if current == value and track != "value":
+                return False
             self._now = max(self._now, round(time, 3))
-            row = self._latest[track, key] = (self._now, track, key, value)
+            row = latest[key] = (self._now, track, key, value)
             self._rows.append(row)
             if self._keep is not None and len(self._rows) > 1.25 * self._keep:
                 self._forget(len(self._rows) - self._keep)
         for listener in self.listeners:
             listener(row)
+        return True
+
+    def last(self, track: str) -> dict[int | str, Any]:
+        """Return the last value of each key of a track."""
+        with self._lock:
+            return {key: row[3] for key, row in self._latest[track].items()}
 
     def since(self, number: int, most: int | None = None) -> tuple[int, list[Row]]:
         """Return the number of the first row and the rows from `number` on.
@@ -109,12 +125,14 @@ class Rows:
     def snapshot(self) -> tuple[list[Row], int]:
         """Return the last row of each track and key by time, and the number of the next row."""
         with self._lock:
-            return sorted(self._latest.values(), key=lambda row: row[0]), self.next
+            latest = chain.from_iterable(rows.values() for rows in self._latest.values())
+            return sorted(latest, key=itemgetter(0)), self.next
 
     def _forget(self, count: int) -> None:
         for row in self._rows[:count]:
-            if (row[1] in NUMBERED or row[3] is None) and self._latest.get((row[1], row[2])) is row:
-                del self._latest[row[1], row[2]]
+            latest = self._latest[row[1]]
+            if (row[1] in NUMBERED or row[3] is None) and latest.get(row[2]) is row:
+                del latest[row[2]]
         del self._rows[:count]
         self.first += count
 
@@ -187,12 +205,6 @@ def report(run: Recorded) -> str:
 def write_report(path: str | Path, run: Recorded) -> None:
     """Write the page of a run to a file, which is complete or not there at all."""
     OutputFile(Path(path)).finish(report(run))
-
-
-def framed(run: Recorded) -> str:
-    """Return the page of a run as an element of a notebook."""
-    style = "width: 100%; height: 50rem; border: 0"
-    return f'<iframe srcdoc="{escape(report(run))}" style="{style}"></iframe>'
 
 
 def _read_built(name: str) -> str:

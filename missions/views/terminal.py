@@ -1,18 +1,17 @@
-"""The view in a terminal of 80 by 24, e.g.
+"""The view in a terminal of 80 by 24, e.g. over ssh: tree, statuses, adaptations and events.
 
-Over ssh: tree, statuses, adaptations with reasons, measurements.
-
-It shows the same rows as the page: the last row of each track and key.
+It shows the last row of each track and key, as the page does.
 """
 
-from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from itertools import islice
+from operator import itemgetter
 from typing import Any, ClassVar, Final
 
 from missions.engine.mission import needs
 from missions.views.live import Steering
 from missions.views.recorder import Recorder
-from missions.views.report import NUMBERED
+from missions.views.report import LOGGED, Rows
 
 with needs("tui", "the view in a terminal"):
     from rich.text import Text
@@ -21,8 +20,8 @@ with needs("tui", "the view in a terminal"):
     from textual.widgets import Footer, Header, Input, Static
 
 _PERIOD_S: Final = 0.2
-_SPARKS: Final = "▁▂▃▄▅▆▇█"
-_KEPT: Final = 400
+_MOST: Final = 400
+"""The largest number of entries of a list."""
 _STYLES: Final = {
     "R": ("▶", "blue"),
     "S": ("✓", "green"),
@@ -30,129 +29,72 @@ _STYLES: Final = {
     "": ("·", "dim"),
     "solved": ("✓", "green"),
     "feasible": ("○", "green"),
-    "unsolved": ("…", "yellow"),
     "unfeasible": ("✕", "red"),
     "failure": ("✕", "red"),
 }
 """Sign and colour of a status, of a behaviour or an element."""
-_LOGGED: Final = {"event": "info", "taskplan": "info", "disturbance": "warning", "problem": "error"}
-"""The tracks that the log shows, each with its level unless the entry has its own."""
 _LEVELS: Final = {"info": "blue", "warning": "yellow", "error": "bold red"}
 
 
-class Fold:
-    """The last row of each track and key, and the latest values of each measurement."""
-
-    def __init__(self) -> None:
-        self.now = 0.0
-        self._last: dict[str, dict[int | str, Any]] = {}
-        self._values: dict[int | str, deque[float]] = {}
-
-    def put(self, row: Any) -> None:  # noqa: ANN401  # a row, of Python or of JSON
-        time, track, key, value = row
-        self.now = max(self.now, time)
-        last = self._last.setdefault(track, {})
-        if track in _LOGGED and value is not None:
-            value = {"t": time, **(value if isinstance(value, dict) else {"words": value})}
-        last[key] = value
-        if track in NUMBERED and len(last) > _KEPT:
-            del last[next(iter(last))]
-        if track in ("value", "signal") and value is not None:
-            self._values.setdefault(key, deque(maxlen=_KEPT)).append(float(value))
-
-    def track(self, name: str) -> Mapping[int | str, Any]:
-        return self._last.get(name, {})
-
-    def tree(self) -> Iterator[Text]:
-        """Yield a line for each behaviour: status, name, feedback."""
-        for tree in self.track("tree").values():
-            depths: dict[int, int] = {}
-            for uid, parent, _, name, _, _ in tree["nodes"]:
-                depths[uid] = depths.get(parent, -1) + 1
-                status, feedback = self.track("node").get(uid) or ("", "")
-                line = Text("  " * depths[uid]) + _signed(status.upper(), name)
-                yield line.append(f"  {feedback}", "dim") if feedback else line
-
-    def known(self) -> Iterator[Text]:
-        """Yield actions, functions and components with status, selection and reason."""
-        status = self.track("status")
-        elements = self.track("element")
-        for kind, chosen_by in (
-            ("action", ""),
-            ("function", "designs"),
-            ("component", "configurations"),
-        ):
-            yield Text(f"{kind}s", "bold")
-            for key, element in elements.items():
-                if element is None or element["kind"] != kind:
-                    continue
-                line = _signed(str(status.get(key, "")), element["name"])
-                if self.track("required").get(key):
-                    line.append(" required", "bold")
-                if self.track("active").get(key):
-                    line.append(" runs", "blue")
-                chosen = [
-                    elements[part]["name"]
-                    for part in element.get(chosen_by) or ()
-                    if self.track("selected").get(part)
-                ]
-                line.append(f" {', '.join(chosen)}" if chosen else "", "cyan")
-                why = (
-                    self.track("why").get(key)
-                    if status.get(key) in ("unfeasible", "failure")
-                    else ""
-                )
-                yield line.append(f"  {why}", "dim") if why else line
-
-    def adaptations(self) -> Iterator[Text]:
-        """Yield the adaptations, the latest first: time, change and cause."""
-        for adaptation in reversed(list(self.track("adaptation").values())):
-            line = Text(f"{adaptation['t']:7.1f} s  ", "dim")
-            line.append(str(adaptation["changed"]), "bold")
-            yield line.append(f"\n{'':11}{adaptation['cause']}", "dim")
-
-    def log(self, words: str) -> Iterator[Text]:
-        """Yield what happened, the latest first: time, level and text.
-
-        Only what has the words, if any are given.
-        """
-        entries = []
-        for track, level in _LOGGED.items():
-            for entry in self.track(track).values():
-                text = str(entry.get("words", ""))
-                if track == "taskplan":
-                    text = f"plan: {entry['outcome']} ({entry['engine']}), {entry['reason']}"
-                entries.append((entry["t"], entry.get("level", level), text))
-        for time, level, text in sorted(entries, reverse=True):
-            if all(word in f"{level} {text}".casefold() for word in words.casefold().split()):
-                line = Text(f"{time:7.1f} s  ", "dim")
-                yield line.append(f"{level:<8}", _LEVELS[level]).append(text)
-
-    def measurements(self, width: int) -> Iterator[Text]:
-        """Yield each measurement with its latest value, and a line of its latest values."""
-        elements = self.track("element")
-        for key, values in self._values.items():
-            name, unit = (
-                (elements[key]["name"], elements[key]["unit"])
-                if key in elements
-                else (str(key), "")
-            )
-            stale = " stale" if self.track("stale").get(key) else ""
-            yield Text(f"{name[:20]:<20} {values[-1]:>8.4g} {unit}", "bold").append(stale, "red")
-            yield Text(_course(values, max(10, width)), "blue")
+def _tree(rows: Rows) -> Iterator[Text]:
+    """Yield a line for each behaviour: status, name, feedback."""
+    statuses = rows.last("node")
+    depths: dict[int, int] = {}
+    for tree in rows.last("tree").values():
+        for uid, parent, _, name, _, _ in tree["nodes"]:
+            depths[uid] = depths.get(parent, -1) + 1
+            status, feedback = statuses.get(uid) or ("", "")
+            yield Text("  " * depths[uid]) + _line(status.upper(), name, feedback)
 
 
-def _signed(status: str, text: str) -> Text:
-    sign, style = _STYLES.get(status, ("!", "yellow") if status else ("·", "dim"))
-    return Text(f"{sign} ", style) + Text(text)
+def _known(rows: Rows) -> Iterator[Text]:
+    """Yield actions, functions and components with status, choice and reason; measurements."""
+    elements = {key: value for key, value in rows.last("element").items() if value is not None}
+    facts = {name: rows.last(name) for name in ("required", "active", "selected", "stale")}
+    statuses = rows.last("status")
+    reasons = rows.last("why")
+    for kind in ("action", "function", "component"):
+        yield Text(f"{kind}s", "bold")
+        for key, element in elements.items():
+            if element["kind"] == kind:
+                status = statuses.get(key, "")
+                words = [element["name"]]
+                words += [fact for fact in ("required", "active") if facts[fact].get(key)]
+                parts = [part for part in element["requires"] if facts["selected"].get(part)]
+                words += [elements[part]["name"] for part in parts]
+                is_lost = status in ("unfeasible", "failure")
+                yield _line(status, " ".join(words), reasons.get(key, "") if is_lost else "")
+    yield Text("measurements", "bold")
+    for key, value in (rows.last("value") | rows.last("signal")).items():
+        if value is not None:
+            element = elements.get(key, {"name": key, "unit": ""})
+            stale = "stale" if facts["stale"].get(key) else ""
+            yield _line("", f"{element['name']} {value:.4g} {element['unit']}", stale)
 
 
-def _course(values: deque[float], width: int) -> str:
-    shown = list(values)[-width:]
-    low = min(shown)
-    high = max(shown)
-    step = (high - low) / (len(_SPARKS) - 1) or 1.0
-    return "".join(_SPARKS[int((value - low) / step)] for value in shown)
+def _line(status: str, text: str, more: str) -> Text:
+    sign, style = _STYLES.get(status, ("!", "yellow"))
+    return Text.assemble((f"{sign} ", style), text, (f"  {more}", "dim"))
+
+
+def _adaptations(rows: Rows) -> Iterator[Text]:
+    """Yield the adaptations, the latest first: time, change and cause."""
+    for entry in islice(reversed(rows.last("adaptation").values()), _MOST):
+        time = (f"{entry['t']:7.1f} s  ", "dim")
+        yield Text.assemble(time, (entry["changed"], "bold"), (f"\n{'':11}{entry['cause']}", "dim"))
+
+
+def _log(rows: Rows, words: str) -> Iterator[Text]:
+    """Yield the entries of the event log that have the words, the latest first."""
+    entries: list[dict[str, Any]] = []
+    for track in LOGGED:
+        entries += islice(reversed(rows.last(track).values()), _MOST)
+    for entry in sorted(entries, key=itemgetter("t"), reverse=True):
+        level = entry["level"]
+        text = entry["words"]
+        if all(word in f"{level} {text}".casefold() for word in words.casefold().split()):
+            time = (f"{entry['t']:7.1f} s  ", "dim")
+            yield Text.assemble(time, (f"{level:<8}", _LEVELS[level]), text)
 
 
 class TerminalView(App[None]):
@@ -164,6 +106,7 @@ class TerminalView(App[None]):
 
     CSS = """
     Screen { layout: grid; grid-size: 2 2; }
+    .known { row-span: 2; }
     VerticalScroll { border: round $primary; padding: 0 1; }
     VerticalScroll:focus { border: round $accent; }
     .hidden, Input.hidden { display: none; }
@@ -176,22 +119,20 @@ class TerminalView(App[None]):
         ("slash", "filter", "filter"),
         ("space", "hold", "pause or go on"),
     ]
-    PANES: Final = ("tree", "known", "adaptations", "measurements", "log")
+    PANES: Final = ("tree", "known", "adaptations", "log")
 
     def __init__(self, recorder: Recorder, steering: Steering | None = None) -> None:
         super().__init__()
         self.title = str(recorder.header.get("title", ""))
         self._rows = recorder.rows
-        self._next = 0
         self._steering = steering
-        self._fold = Fold()
         self._shown = {name: Static(id=name) for name in self.PANES}
         self._filter = Input(placeholder="words that an entry must have", classes="hidden")
 
     def compose(self) -> ComposeResult:
         yield Header()
         for name, shown in self._shown.items():
-            pane = VerticalScroll(shown, classes="hidden" if name == "log" else "")
+            pane = VerticalScroll(shown, classes="hidden" if name == "log" else name)
             pane.border_title = name
             yield pane
         yield self._filter
@@ -223,23 +164,18 @@ class TerminalView(App[None]):
             self._steering.do({"do": "resume" if self._steering.state["paused"] else "pause"})
 
     def look(self) -> None:
-        first, rows = self._rows.since(self._next)
-        self._next = first + len(rows)
-        for row in rows:
-            self._fold.put(row)
-        ended = self._fold.track("result").get(0)
-        words = [f"{self._fold.now:.1f} s"]
-        if ended:
-            words.append(f"{ended['outcome']}: {ended['reason']}")
-        elif self._steering is not None and self._steering.state["paused"]:
+        rows = self._rows
+        words = [f"{rows.now:.1f} s"]
+        for ended in rows.last("result").values():
+            words.append(ended["words"])
+        if self._steering is not None and self._steering.state["paused"]:
             words.append(f"paused {self._steering.state['stopped']}".strip())
         self.sub_title = "  ".join(words)
         lines = {
-            "tree": self._fold.tree(),
-            "known": self._fold.known(),
-            "adaptations": self._fold.adaptations(),
-            "measurements": self._fold.measurements(self.size.width // 2 - 6),
-            "log": self._fold.log(self._filter.value),
+            "tree": _tree(rows),
+            "known": _known(rows),
+            "adaptations": _adaptations(rows),
+            "log": _log(rows, self._filter.value),
         }
-        for name, shown in lines.items():
-            self._shown[name].update(Text("\n").join(shown))
+        for name, shown in self._shown.items():
+            shown.update(Text("\n").join(lines[name]))

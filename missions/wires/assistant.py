@@ -5,20 +5,15 @@ refused, as always.
 """
 
 import re
-from collections.abc import Callable
-from functools import wraps
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Final
 
-from kb import EventKind, KnowledgeBase, KnowledgeBaseError
+from kb import EventKind, KnowledgeBase
 from missions.engine.mission import Mission, MissionError, needs
-from rosa_pddl import RosaPddlError
 
 if TYPE_CHECKING:
     from mcp.server import MCPServer
 
-_MOST: Final = 100
-"""How many decisions are reported at most."""
 _PLANNING_S: Final = 10.0
 _ACTING: Final = ("request_action", "cancel_action")
 """The tools that act."""
@@ -118,7 +113,7 @@ class Assistant:
                 "why": "" if event.plan is None else event.plan.reason,
                 "caused by event": event.cause,
             }
-            for event in events[-max(1, min(most, _MOST)) :]
+            for event in events[-max(1, most) :]
         ]
 
     def request_action(self, action: str) -> dict[str, Any]:
@@ -142,11 +137,6 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
         from mcp.server import MCPServer
         from mcp.server.mcpserver.exceptions import ToolError
         from mcp.types import ToolAnnotations
-    tools: dict[str, Callable[..., Any]] = {
-        name: getattr(assistant, name)
-        for name in vars(Assistant)
-        if not name.startswith("_") and (allow_actions or name not in _ACTING)
-    }
 
     class Server(MCPServer):
         async def call_tool(
@@ -155,24 +145,17 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
             arguments: dict[str, Any],
             context: Any = None,  # noqa: ANN401  # as in its base
         ) -> Any:  # noqa: ANN401  # as in its base
-            """Call a tool, or say which there are."""
-            if name not in tools:
-                raise ToolError(f"there is no tool {name!r:.80}; there are {', '.join(tools)}")
-            return await super().call_tool(name, arguments, context)
-
-    def in_words(tool: Callable[..., Any]) -> Callable[..., Any]:
-        @wraps(tool)
-        def call(*values: Any, **named: Any) -> Any:  # noqa: ANN401  # those of the tool
+            """Call a tool; an error says why, with long names cut."""
             try:
-                return tool(*values, **named)
-            except (KnowledgeBaseError, MissionError, RosaPddlError) as error:
-                text = re.sub(r"\w{80,}", lambda name: f"{name[0][:77]}...", str(error))
-                raise ToolError(f"{text:.1000}") from None
-
-        return call
+                return await super().call_tool(name, arguments, context)
+            except ToolError as error:
+                text = str(error.__cause__ or error)
+                cut = re.sub(r"\w{80,}", lambda word: f"{word[0][:77]}...", text)
+                raise ToolError(f"{cut:.1000}") from None
 
     server = Server("rosa-taca", version=version("rosa-taca"), instructions=INSTRUCTIONS)
-    for name, tool in tools.items():
-        hints = ToolAnnotations(read_only_hint=name not in _ACTING)
-        server.tool(name, annotations=hints)(in_words(tool))
+    for name in vars(Assistant):
+        if not name.startswith("_") and (allow_actions or name not in _ACTING):
+            hints = ToolAnnotations(read_only_hint=name not in _ACTING)
+            server.tool(annotations=hints)(getattr(assistant, name))
     return server

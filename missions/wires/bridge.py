@@ -53,9 +53,7 @@ class SimulatedClock:
 
     def _hear(self, message: Message) -> None:
         time_s = _seconds(message["clock"])
-        if time_s < self.now_s:
-            _log.warning("/clock went back from %g s to %g s; time goes on", self.now_s, time_s)
-            self._offset_s += self.now_s - time_s
+        self._offset_s += max(0.0, self.now_s - time_s)
         self.now_s = time_s
         self.has_begun = True
 
@@ -74,7 +72,6 @@ class Bridge:
 
     Attributes:
         managed: the robot's nodes, as the managed system of a `ConfigurationManager`.
-        heard: how many messages were used.
 
     Raises:
         MissionError, kb.UnknownName: the settings name a place that is malformed, or an unknown
@@ -90,7 +87,6 @@ class Bridge:
         clock: SimulatedClock | None = None,
     ) -> None:
         settings = settings or BridgeSettings()
-        self.heard = 0
         self.managed = RosComponents(kb, node, settings, self._observe)
         self._kb = kb
         self._node = node
@@ -158,7 +154,6 @@ class Bridge:
             raise ValueError("a message is older than max_age; are the clocks the same?")
         self._kb.measure(view.name, value)
         self._stamps[view.name] = stamp
-        self.heard += 1
 
     def _make_stale(self, view: AttributeView) -> None:
         if view.value is not None:
@@ -166,7 +161,6 @@ class Bridge:
 
     def _receive(self, message: Message) -> None:
         problems = self._kb.receive(message, rules=self._rules)
-        self.heard += 1
         if self._percepts is not None:
             self._percepts.receive({"status": ros.plain_statuses(message)})
         for problem in problems:
@@ -208,6 +202,6 @@ def _seconds(stamp: Message) -> float:
 def _stamp(message: Message) -> float:
     """Return the time in a message's header [s]; infinity if there is none, or it was not set."""
     header = message.get("header")
-    if not isinstance(header, dict) or not isinstance(header.get("stamp"), dict):
+    if not isinstance(header, dict):
         return math.inf
     return _seconds(header["stamp"]) or math.inf

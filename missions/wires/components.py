@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from kb import ComponentKind, KnowledgeBase, Status
+from kb import ComponentKind, KnowledgeBase
 from kb.elements import Parameters
 from kb.managed_system import Operation
 from kb.processes import ProcessComponents, ros_node_programs
@@ -150,7 +150,7 @@ class RosComponents:
                 watch = self._watches[name] = _Watch(*self._address(name))
                 topic = f"{watch.place}/transition_event"
                 node.subscribe(
-                    topic, "lifecycle_msgs/msg/TransitionEvent", partial(self._ask, watch)
+                    topic, "lifecycle_msgs/msg/TransitionEvent", partial(self._ask, name)
                 )
 
     def close(self) -> None:
@@ -191,11 +191,8 @@ class RosComponents:
         for component, watch in self._watches.items():
             if watch.is_published and self._publishers(watch) == 0:
                 self._lose(component, watch, f"{watch.place} is gone")
-            watch.state = None
-            watch.poll = None
-            watch.alive_s = math.inf
-            watch.asked_s = -math.inf
-            watch.is_published = False
+            fresh = _Watch(watch.place, watch.timeout_s, is_lost=watch.is_lost)
+            self._watches[component] = fresh
 
     def observe(self, kb: KnowledgeBase) -> None:
         """Take in the nodes' answers, and ask those whose turn it is; the manager calls this."""
@@ -225,9 +222,9 @@ class RosComponents:
     def _publishers(self, watch: _Watch) -> int | None:
         return self._node.publishers(f"{watch.place}/transition_event")
 
-    def _ask(self, watch: _Watch, _: Message) -> None:
+    def _ask(self, component: str, _: Message) -> None:
         """Ask for the state at once, as a transition is going on; its events may come late."""
-        watch.is_changing = True
+        self._watches[component].is_changing = True
 
     def _state_call(self, watch: _Watch) -> Reply:
         """Ask a node for its state; it is overdue when the node has been silent for too long."""
@@ -240,7 +237,7 @@ class RosComponents:
         if isinstance(poll.exception(), Disconnected):
             return
         try:
-            state = _state_of(watch, poll.result())
+            state = poll.result()["current_state"]["id"]
         except RosError as error:
             self._lose(component, watch, str(error))
             return
@@ -264,10 +261,8 @@ class RosComponents:
         watch.is_lost = True
         watch.state = None
         watch.poll = None  # its answer may be older
-        if self._kb.components[component].is_active:
-            self._kb.component_active(component, False, reason)
-        if self._kb.components[component].status is not Status.FAILURE:
-            self._kb.component_failed(component, reason)
+        self._kb.component_active(component, False, reason)
+        self._kb.component_failed(component, reason)
 
     # ---------------------------------------------------------------- commands
 
@@ -280,7 +275,7 @@ class RosComponents:
         except Unanswered as error:
             self._lose(component, watch, str(error))
             raise
-        state = watch.state = _state_of(watch, answer)
+        state = watch.state = answer["current_state"]["id"]
         watch.alive_s = asked_s
         if state not in (_UNCONFIGURED, _INACTIVE, _ACTIVE):
             raise RosError(f"{watch.place} is in state {state}, which no transition leaves now")
@@ -295,7 +290,7 @@ class RosComponents:
         kind = "lifecycle_msgs/srv/ChangeState"
         request = {"transition": {"id": transition, "label": ""}}
         answer = yield self._node.call(service, kind, request, watch.timeout_s)
-        if not answer.get("success"):
+        if not answer["success"]:
             raise RosError(f"{watch.place} refuses the transition {transition} from {watch.state}")
         watch.state = goal
 
@@ -308,10 +303,9 @@ class RosComponents:
         kind = "rcl_interfaces/srv/SetParametersAtomically"
         request = {"parameters": parameter_messages(parameters)}
         answer = yield self._node.call(service, kind, request, timeout_s)
-        result = answer.get("result") or {}
-        if not result.get("successful"):
-            reason = result.get("reason") or "without a reason"
-            raise RosError(f"{place} refuses the parameters: {reason}")
+        result = answer["result"]
+        if not result["successful"]:
+            raise RosError(f"{place} refuses the parameters: {result['reason']}")
 
     def _address(self, component: str) -> tuple[str, float]:
         """Return the name of a component's node, and how long a call of it may take [s]."""
@@ -343,25 +337,15 @@ class RosComponents:
         watch = self._watches.get(component)
         if watch is None and component not in self._programs:
             names = ", ".join([*self._watches, *self._programs]) or "none"
-            command.set_exception(
-                RosError(
-                    f"there is no node for {component!r}, only for {names}"
-                    ": name its node under components"
-                )
+            raise RosError(
+                f"there is no node for {component!r}, only for {names}"
+                ": name its node under components"
             )
-        elif watch is not None and watch.is_lost:
-            command.set_exception(RosError(f"{watch.place} does not answer"))
-        else:
-            if watch is not None:
-                watch.poll = None  # its answer may be older than what the command does
-                watch.commands.add(command)
-                command.add_done_callback(watch.commands.discard)
-            advance()
+        if watch is not None:
+            if watch.is_lost:
+                raise RosError(f"{watch.place} does not answer")
+            watch.poll = None  # its answer may be older than what the command does
+            watch.commands.add(command)
+            command.add_done_callback(watch.commands.discard)
+        advance()
         return command
-
-
-def _state_of(watch: _Watch, answer: Message) -> int:
-    try:
-        return int(answer["current_state"]["id"])
-    except (LookupError, TypeError, ValueError):
-        raise RosError(f"{watch.place} answers what is no state: {answer!r:.60}") from None

@@ -21,7 +21,6 @@ from py_trees.behaviour import Behaviour
 from py_trees.blackboard import Blackboard
 from py_trees.common import Status
 from py_trees.trees import BehaviourTree
-from py_trees.visitors import VisitorBase
 
 from missions.engine.mission import MissionError, needs
 from rosa_bt.xml import NumberedTree
@@ -31,7 +30,7 @@ _PROTOCOL: Final = 2
 _HEAD: Final = struct.Struct("<BBI")
 """The head of a request: protocol, letter of its kind, number."""
 _STATUS: Final = struct.Struct("<HB")
-_IDLE, _SKIPPED, _WAS = 0, 4, 10
+_IDLE, _WAS = 0, 10
 """The code of an idle node is 10 + the status that it had before, or 0 if it never had one."""
 _CODES: Final = {Status.RUNNING: 1, Status.SUCCESS: 2, Status.FAILURE: 3}
 _LOOK_MS: Final = 100
@@ -50,7 +49,7 @@ class _Present(NamedTuple):
     codes: Mapping[Behaviour, int]
 
 
-class Groot2Publisher(VisitorBase):
+class Groot2Publisher:
     """Publishes the statuses of a tree after each tick, and the tree again when it changes.
 
     A tick only writes down the statuses; a thread of its own answers clients, so they do not slow
@@ -64,13 +63,11 @@ class Groot2Publisher(VisitorBase):
     """
 
     def __init__(self, tree: BehaviourTree, port: int = PORT) -> None:
-        super().__init__(full=False)
         with needs("groot2", "Groot2's wire"):
             import msgpack
             import zmq
         self._pack = msgpack.packb
         self._tree = tree
-        self._visited: set[Behaviour] = set()
         self._present = self._new_present()
         self._context = zmq.Context()
         self._context.setsockopt(zmq.LINGER, 0)
@@ -86,25 +83,18 @@ class Groot2Publisher(VisitorBase):
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="groot2", daemon=True)
         self._thread.start()
-        tree.visitors.append(self)
+        tree.add_post_tick_handler(self._tick)
 
     def close(self) -> None:
         """Stop publishing, and free the ports."""
-        self._tree.visitors.remove(self)
+        self._tree.post_tick_handlers.remove(self._tick)
         self._closing.set()
         self._thread.join()
 
-    def initialise(self) -> None:
-        self._visited.clear()
-
-    def run(self, behaviour: Behaviour) -> None:
-        """Note a node that is ticked: if it is INVALID then, it was skipped, not idle."""
-        self._visited.add(behaviour)
-
-    def finalise(self) -> None:
+    def _tick(self, tree: BehaviourTree) -> None:
         """Write down the status of each node after a tick."""
         before = self._present
-        if not before.tree.shows(self._tree.root):
+        if not before.tree.shows(tree.root):
             before = self._new_present()
         codes = {node: self._code(node, code) for node, code in before.codes.items()}
         self._present = before._replace(codes=codes)
@@ -117,8 +107,6 @@ class Groot2Publisher(VisitorBase):
     def _code(self, node: Behaviour, before: int) -> int:
         if node.status in _CODES:
             return _CODES[node.status]
-        if node in self._visited:
-            return _SKIPPED
         return before if before == _IDLE or before > _WAS else _WAS + before
 
     def _serve(self) -> None:

@@ -7,12 +7,13 @@ import json
 import logging
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from os.path import exists, isdir
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread
 from typing import Any, BinaryIO, Final, NamedTuple
 
 from py_trees.common import Status
@@ -34,12 +35,6 @@ EVENTS, RUN, ROWS = "/rosa/events", "/rosa/run", "/rosa/rows"
 """Our own topics: the log's events, how the mission was run, a report's other rows."""
 VERSION: Final = 1
 """The version of our recordings."""
-_COMMANDS: Final = {
-    "activate": "activate",
-    "deactivate": "deactivate",
-    "configure": "set_parameters",
-}
-"""The command to a component, by the operation of an attempt."""
 _CHUNK_BYTES: Final = 2**16
 PATIENCE_S: Final = 60.0
 """How long the queued messages may take to be written when a file is closed [s]."""
@@ -105,7 +100,9 @@ class McapFile:
         self._records = _Records(self._file, use_chunking=False)
         self.refused = Refusals()
         self._error: Exception | None = None
-        self._thread = ThreadPoolExecutor(1, "mcap")
+        self._queue = SimpleQueue[Any]()
+        self._thread = Thread(target=self._run, name="mcap", daemon=True)
+        self._thread.start()
 
     def write(
         self,
@@ -116,7 +113,8 @@ class McapFile:
         *arguments: Any,  # noqa: ANN401  # the arguments of make
     ) -> None:
         """Queue a message at a time [s]: the thread writes what `make(*arguments)` returns."""
-        self._thread.submit(self._write, topic, kind, time_s, make, *arguments)
+        if self._error is None:
+            self._queue.put((topic, kind, time_s, make, arguments))
 
     def close(self) -> None:
         """Write the queued messages, and rewrite the file in chunks with an index.
@@ -124,8 +122,13 @@ class McapFile:
         Raises:
             MissionError: a message could not be written; the file holds those before it.
         """
+        self._queue.put(None)
+        self._thread.join(PATIENCE_S)
         try:
-            self._thread.submit(self._finish).result(PATIENCE_S)
+            if self._thread.is_alive():
+                raise TimeoutError("the disk does not answer")
+            if self._error is not None:
+                raise self._error
             with draft(self.path) as part:
                 with part.open("wb") as file:
                     records = _Records(file, use_chunking=True)
@@ -133,38 +136,23 @@ class McapFile:
                         records.add(message)
                     records.finish()
                 part.replace(self.path)
-        except TimeoutError:
-            raise self._unwritten(OSError("the disk does not answer")) from None
         except Exception as error:  # of the disk or of the library
             raise self._unwritten(error) from error
-        finally:
-            self._thread.shutdown(wait=False)
 
-    def _finish(self) -> None:
-        with self._file:
-            if self._error is not None:
-                raise self._error
-            self._records.finish()
-
-    def _write(
-        self,
-        topic: str,
-        kind: str,
-        time_s: float,
-        make: Callable[..., dict[str, Any]],
-        *arguments: Any,  # noqa: ANN401  # the arguments of make
-    ) -> None:
-        if self._error is not None:
-            return
+    def _run(self) -> None:
         try:
-            data = ros.types().encode(kind, make(*arguments))
-        except Exception as error:  # what was malformed is left out, all others are written
-            self.refused.add(f"{topic}: {type(error).__name__}: {error}")
-            return
-        try:
-            self._records.add(Raw(topic, kind, ros.nanoseconds(time_s), data))
-            self._file.flush()
-        except Exception as error:  # the mission goes on
+            with self._file:
+                for topic, kind, time_s, make, arguments in iter(self._queue.get, None):
+                    try:
+                        data = ros.types().encode(kind, make(*arguments))
+                    except Exception as error:  # of the message: all others are written
+                        self.refused.add(f"{topic}: {type(error).__name__}: {error}")
+                        continue
+                    self._records.add(Raw(topic, kind, ros.nanoseconds(time_s), data))
+                    if self._queue.empty():
+                        self._file.flush()
+                self._records.finish()
+        except Exception as error:  # of the disk; the mission goes on
             self._error = error
             _log.warning("%s is recorded no further: %s", self.path, error)
 
@@ -319,7 +307,8 @@ class Bag:
                 _, component, operation, *_ = attempt.arguments
                 is_done = result == "completed"
                 duration_s = event.time - attempt.time
-                commands[number] = (_COMMANDS[operation], component, duration_s, is_done)
+                command = "set_parameters" if operation == "configure" else operation
+                commands[number] = (command, component, duration_s, is_done)
         return [commands[number] for number in sorted(commands)]
 
 
@@ -343,7 +332,12 @@ def read_bag(path: str | Path) -> Bag:
                 diagnostics.append((raw.stamp, ros.plain_statuses(array)))
             elif raw.topic in (EVENTS, ROWS, RUN):
                 content = json.loads(ros.types().decode(ros.STRING, raw.data)["data"])
-                _add(bag, raw.topic, content)
+                if raw.topic == EVENTS:
+                    bag.events.append(Event.from_json(content))
+                elif raw.topic == ROWS:
+                    bag.rows.append((bag.events[-1].number if bag.events else 0, content))
+                else:
+                    bag.run = content
         except Exception as error:  # a malformed or damaged message may raise anything
             bag.problems[f"{raw.topic}: {type(error).__name__}: {error}"] += 1
     if bag.run.get("rosa", VERSION) != VERSION:
@@ -357,16 +351,6 @@ def read_bag(path: str | Path) -> Bag:
         {"time": (stamp - start) / 1e9, "status": statuses} for stamp, statuses in diagnostics
     ]
     return bag
-
-
-def _add(bag: Bag, topic: str, content: Any) -> None:  # noqa: ANN401  # what JSON holds
-    """Add a message of one of our own topics."""
-    if topic == EVENTS:
-        bag.events.append(Event.from_json(content))
-    elif topic == ROWS:
-        bag.rows.append((bag.events[-1].number if bag.events else 0, content))
-    else:
-        bag.run = content
 
 
 def read_page(path: str | Path) -> Recorded:

@@ -25,6 +25,8 @@ from missions.wires.node import (
 )
 from missions.wires.ros import Field, Library, to_message
 
+_DEPTH: Final = 1000
+"""How many messages of a topic may wait."""
 _LOOK_S: Final = 0.2
 """The period of looking which other nodes are there [s]."""
 _TYPE: Final = re.compile(r"(?:sequence<)?([\w/]+)")
@@ -43,7 +45,7 @@ class Messages(Library):
 
     byte = staticmethod(lambda value: bytes([value]))
 
-    def read_fields(self, kind: str) -> dict[str, Field]:
+    def fields(self, kind: str) -> dict[str, Field]:
         types = self.find(kind).get_fields_and_field_types()
         return {name: _field(text) for name, text in types.items()}
 
@@ -77,9 +79,8 @@ class _Reader:
     topic: str
     kind: Any
     take: Callable[[Any], None]
+    quality: Any
     opened: Any = None
-    quality: tuple[bool, bool] = (True, False)
-    """Whether it is reliable, and whether it hears what was published before it was there."""
 
 
 class RclpyGoal(Goal):
@@ -137,11 +138,9 @@ class RclpyNode(Node):
             from rclpy.context import Context
             from rclpy.executors import SingleThreadedExecutor
         except ImportError as error:
-            advice = "source its setup file, or use a rosbridge"
             raise MissionError(
-                f"rclpy is not installed ({error}); "
-                "it comes with ROS 2 (pixi, RoboStack, a robot), not from PyPI"
-                f"; {advice}"
+                f"rclpy is not installed ({error}); it comes with ROS 2 (pixi, RoboStack, a robot),"
+                " not from PyPI; source its setup file, or use a rosbridge"
             ) from None
         self.types = Messages()
         self._readers: list[_Reader] = []
@@ -155,8 +154,8 @@ class RclpyNode(Node):
             self._executor = SingleThreadedExecutor(context=self._context)
             self._executor.add_node(self._node)
         except Exception as error:  # of whatever middleware
-            advice = "does `ros2 topic list` work?"
-            raise MissionError(f"rclpy cannot start: {error}; {advice}") from error
+            problem = f"rclpy cannot start: {error}; does `ros2 topic list` work?"
+            raise MissionError(problem) from error
         self._report(False, "rclpy: no other node is there")
         self._thread = Thread(target=self._spin, name="rclpy", daemon=True)
         self._thread.start()
@@ -178,15 +177,16 @@ class RclpyNode(Node):
         def take(thing: Any) -> None:  # noqa: ANN401  # an object of rclpy
             self._hand_on(topic, thing, lambda thing: hearer(to_message(thing)))
 
-        reader = _Reader(topic, self.types.find(kind), take)
+        from rclpy.qos import QoSProfile
+
+        reader = _Reader(topic, self.types.find(kind), take, QoSProfile(depth=_DEPTH))
         with self._lock:
             self._open_reader(reader)
             self._readers.append(reader)
 
     def publish(self, topic: str, kind: str, message: Message) -> None:
         thing = self.types.to_object(kind, message)
-        quality = _quality(is_reliable=True, is_latched=False)
-        self._partner(topic, kind, self._node.create_publisher, quality).publish(thing)
+        self._partner(topic, kind, self._node.create_publisher, _DEPTH).publish(thing)
 
     def call(
         self, service: str, kind: str, request: Message, timeout_s: float = TIMEOUT_S
@@ -237,14 +237,12 @@ class RclpyNode(Node):
     def _open_reader(self, reader: _Reader) -> None:
         if reader.opened is not None:
             self._node.destroy_subscription(reader.opened)
-        is_reliable, is_latched = reader.quality
-        quality = _quality(is_reliable=is_reliable, is_latched=is_latched)
         create = self._node.create_subscription
-        reader.opened = create(reader.kind, reader.topic, reader.take, quality)
+        reader.opened = create(reader.kind, reader.topic, reader.take, reader.quality)
 
     def _look(self) -> None:
         """Look which other nodes are there, and send the calls that waited for their service."""
-        from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
         is_published = False
         with self._lock:
@@ -256,15 +254,18 @@ class RclpyNode(Node):
                 is_published = True
                 best_effort = ReliabilityPolicy.BEST_EFFORT
                 latched = DurabilityPolicy.TRANSIENT_LOCAL
-                is_reliable = all(quality.reliability != best_effort for quality in qualities)
-                is_latched = all(quality.durability == latched for quality in qualities)
-                if reader.quality != (is_reliable, is_latched):
-                    reader.quality = (is_reliable, is_latched)
+                quality = QoSProfile(depth=_DEPTH)
+                if any(other.reliability == best_effort for other in qualities):
+                    quality.reliability = best_effort
+                if all(other.durability == latched for other in qualities):
+                    quality.durability = latched  # so it hears what was published before
+                if quality != reader.quality:
+                    reader.quality = quality
                     self._open_reader(reader)
         for call in list(self._calls.values()):
             self._send_call(call)
         if is_published != self.is_connected:
-            presence = "other nodes are there" if is_published else "all other nodes are gone"
+            presence = "other nodes are there" if is_published else "no other node is there"
             self._report(is_published, f"rclpy: {presence}")
 
     def _send_call(self, call: Call) -> None:
@@ -282,11 +283,3 @@ class RclpyNode(Node):
             self._end_call(call, RosError(f"{call.service} failed: {future.exception()}"))
         else:
             self._end_call(call, to_message(future.result()))
-
-
-def _quality(*, is_reliable: bool, is_latched: bool) -> Any:  # noqa: ANN401  # an object of rclpy
-    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-
-    reliability = ReliabilityPolicy.RELIABLE if is_reliable else ReliabilityPolicy.BEST_EFFORT
-    durability = DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE
-    return QoSProfile(depth=1000, reliability=reliability, durability=durability)

@@ -10,13 +10,13 @@ from abc import ABC, abstractmethod
 from base64 import b64decode
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
-from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from kb import Event
 from missions.engine.mission import MissionError, needs
+from missions.engine.settings import near
 from missions.views.output import plain
 from missions.wires.node import Message, RosError
 
@@ -29,10 +29,7 @@ LOG: Final = "rcl_interfaces/msg/Log"
 POSE: Final = "geometry_msgs/msg/PoseStamped"
 STRING: Final = "std_msgs/msg/String"
 TREE_LOG: Final = "nav2_msgs/msg/BehaviorTreeLog"
-INFO, WARN = 20, 30
-"""Severity levels of rcl_interfaces/Log."""
-FRAME: Final = "map"
-"""The world frame, z up, named as in REP 105."""
+INFO, WARN = 20, 30  # of rcl_interfaces/Log
 _DEFINITIONS: Final = Path(__file__).with_name("definitions.txt")
 """Definitions of the messages and services that `rosbags` does not have."""
 NOTHING: Final = "structure_needs_at_least_one_member"
@@ -56,21 +53,13 @@ class Library(ABC):
     byte: Callable[[int], Any] = int
     """Makes the value of a field of type byte."""
 
-    def __init__(self) -> None:
-        self._fields: dict[str, dict[str, Field]] = {}
-
     @abstractmethod
-    def read_fields(self, kind: str) -> dict[str, Field]:
+    def fields(self, kind: str) -> dict[str, Field]:
         """Return the fields of a message type; `RosError` if it is not known."""
 
     @abstractmethod
     def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # an object of the library
         """Return a message with these values."""
-
-    def fields(self, kind: str) -> dict[str, Field]:
-        if kind not in self._fields:
-            self._fields[kind] = self.read_fields(kind)
-        return self._fields[kind]
 
     def to_object(self, kind: str, message: Message) -> Any:  # noqa: ANN401  # of the library
         """Return the library's object for a message that is written as a dict.
@@ -120,10 +109,9 @@ class Types(Library):
     """ROS 2's types as `rosbags` has them, which also encodes and decodes them as CDR."""
 
     def __init__(self, store: "Typestore") -> None:
-        super().__init__()
         self.store = store
 
-    def read_fields(self, kind: str) -> dict[str, Field]:
+    def fields(self, kind: str) -> dict[str, Field]:
         if kind not in self.store.fielddefs:
             problem = f"the type {kind!r} is not known" if kind else "no type is named"
             raise RosError(f"{problem}; name one of ROS 2's, PACKAGE/msg/TYPE")
@@ -183,8 +171,8 @@ def check_kind(kind: str) -> None:
         return
     names = [name for name in kinds if name.startswith(f"{kind.split('/')[0]}/msg/")]
     if names and kind not in names:
-        nearest = "".join(f"; did you mean {name}?" for name in get_close_matches(kind, names, 1))
-        raise RosError(f"there is no message type {kind!r}{nearest}")
+        nearest = " or ".join(near(kind, names) or names)
+        raise RosError(f"there is no message type {kind!r}; did you mean {nearest}?")
 
 
 # ------------------------------------------------------------ messages that we publish and record
@@ -219,27 +207,19 @@ def diagnostics(time_s: float, array: Any) -> Message:  # noqa: ANN401  # in any
     statuses = []
     for status in array["status"]:
         values = status["values"]
-        if not isinstance(values, Mapping):
-            values = {pair["key"]: pair["value"] for pair in values}
-        statuses.append(
-            {
-                "level": status.get("level", 0),
-                "name": str(status.get("name", "")),
-                "message": str(status["message"]),
-                "hardware_id": str(status.get("hardware_id", "")),
-                "values": [{"key": str(key), "value": str(values[key])} for key in values],
-            }
-        )
+        if isinstance(values, Mapping):
+            values = [{"key": str(key), "value": str(values[key])} for key in values]
+        defaults = {"level": 0, "name": "", "hardware_id": ""}
+        statuses.append({**defaults, **status, "values": values})
     return {"header": _header(time_s, ""), "status": statuses}
 
 
 def plain_statuses(array: Message) -> list[Message]:
-    """Return the statuses of a DiagnosticArray: name, message, values; level unless it is 0."""
+    """Return the statuses of a DiagnosticArray with their values as a mapping."""
     statuses = []
     for status in array["status"]:
         values = {pair["key"]: pair["value"] for pair in status["values"]}
-        fields = {"name": status["name"], "message": status["message"], "values": values}
-        statuses.append(fields | ({"level": status["level"]} if status["level"] else {}))
+        statuses.append({**status, "values": values})
     return statuses
 
 
@@ -266,4 +246,5 @@ def tree_log(time_s: float, changes: Sequence[tuple[str, int, str, str]]) -> Mes
 def pose(time_s: float, position: Sequence[float]) -> Message:
     """Return a pose at (x, y, z) [m], world frame; upright, as the attitude is not known."""
     place = dict(zip("xyz", position, strict=True))
-    return {"header": _header(time_s, FRAME), "pose": {"position": place, "orientation": _UPRIGHT}}
+    header = _header(time_s, "map")  # the world frame as in REP 105
+    return {"header": header, "pose": {"position": place, "orientation": _UPRIGHT}}

@@ -43,8 +43,6 @@ QUEUED: Final = 10_000
 """How many messages may wait to be sent."""
 _FLUSH_S: Final = 1.0
 """How long sending the queued messages may take when a connection is closed [s]."""
-_LARGEST: Final = 2**20
-"""The longest message [bytes]."""
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 8.0
 _log = logging.getLogger(__name__)
 
@@ -126,9 +124,8 @@ class Connection:
                 _log.info("nothing more is sent: %s", error)
                 return
             with self._news:
-                if self.queue and self.queue[0] is message:  # else a newer one pushed it out
-                    self.queue.popleft()
-                    self._news.notify_all()
+                self.queue.popleft()
+                self._news.notify_all()
 
 
 class BridgedGoal(Goal):
@@ -225,8 +222,6 @@ class Rosbridge(Node):
             connect,
             url,
             additional_headers=headers,
-            max_size=_LARGEST,
-            open_timeout=5,
             close_timeout=1,
         )
         self._url = url
@@ -260,10 +255,6 @@ class Rosbridge(Node):
     def call(
         self, service: str, kind: str, request: Message, timeout_s: float = TIMEOUT_S
     ) -> Reply:
-        if not self.is_connected:
-            reply = Reply()
-            reply.set_exception(Disconnected(f"{service} cannot be called: no connection"))
-            return reply
         with self._lock:  # so that a lane that ends meanwhile ends this call, too
             lane = self.lane(service.rpartition("/")[0])
             call = self._open_call(service, timeout_s, lane)
@@ -346,13 +337,8 @@ class Rosbridge(Node):
                 wait_s = _FIRST_WAIT_S
                 self._report(False, f"the connection to {self._url} has ended {reason}".rstrip())
                 continue
-            self._report(
-                False,
-                f"no connection to {self._url}: {reason}; "
-                f"it tries again, at last every {_LONGEST_WAIT_S:g} s"
-                ". "
-                "Is a rosbridge running there, and is the address (--url) right?",
-            )
+            advice = "is a rosbridge running there, and is the address (--url) right?"
+            self._report(False, f"no connection to {self._url}: {reason}; {advice}")
             self._closing.wait(wait_s)
             wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
 
@@ -364,8 +350,7 @@ class Rosbridge(Node):
         self._report(
             True,
             f"connected to {self._url}; "
-            "messages published there meanwhile are lost, ours are sent now"
-            f": {len(self._main.queue)}",
+            "messages published there meanwhile are lost, ours are sent now",
         )
 
     def _hear(self, message: Message) -> None:
@@ -382,9 +367,9 @@ class Rosbridge(Node):
         elif message["op"] == "call_service":
             service = message["service"]
             answer = self._answers[service]
-            response = {"op": "service_response", "id": message.get("id"), "service": service}
+            response = {"op": "service_response", "id": message["id"], "service": service}
             try:
-                response |= {"values": answer(message.get("args", {})), "result": True}
+                response |= {"values": answer(message["args"]), "result": True}
             except Exception as error:  # whoever calls must not wait for ever
                 self.refused.add(error)
                 response |= {"values": f"{type(error).__name__}: {error}", "result": False}

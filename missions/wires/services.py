@@ -1,7 +1,7 @@
 """ROSA's own services, as the original's node `rosa_kb` serves them to trees and planners."""
 
 import logging
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from functools import partial
 from typing import Any, Final
@@ -37,41 +37,65 @@ class RosaServices:
     def __init__(self, kb: KnowledgeBase, node: Node) -> None:
         self._kb = kb
         self._node = node
-        missing = []
-        for name, kind, answer in self._table():
-            respond = partial(self._answer, name, answer)
-            try:
+        try:
+            for name, (kind, answer) in self._table().items():
+                respond = partial(self._answer, name, answer)
                 node.serve(f"/rosa_kb/{name}", f"rosa_msgs/srv/{kind}", respond)
-            except RosError:  # this type is not installed
-                missing.append(name)
-        if missing:
-            names = ", ".join(missing)
-            _log.warning("not served under /rosa_kb/, as their types are not known: %s", names)
+        except RosError as error:  # rosa_msgs is not installed
+            _log.warning("ROSA's services are not served: %s", error)
 
-    def _table(self) -> Iterator[tuple[str, str, Answer]]:
-        """Yield each service: its name under `/rosa_kb/`, its type, and what answers a request."""
-        yield "action/exists", "ActionQuery", partial(self._get, "action")
-        yield "action/request", "ActionQuery", self._request_action
-        yield "action/selectable", "ActionQueryArray", self._selectable_actions
-        yield "function/adaptable", "AdaptableFunctions", self._adaptable_functions
-        yield "component/adaptable", "AdaptableComponents", self._adaptable_components
-        yield "component/active/set", "ComponentQuery", self._set_active
-        yield "component/active/get", "ComponentQuery", partial(self._get, "component")
-        yield "component_parameters/get", "GetComponentParameters", self._parameters
-        for place, kind, field in (
-            ("function_designs", "FunctionDesign", "fds"),
-            ("component_configuration", "ComponentConfiguration", "c_configs"),
-        ):
-            yield f"{place}/selectable", f"Selectable{kind}s", self._selectable
-            yield f"{place}/priority", f"Get{kind}Priority", partial(self._named, field)
-        yield "select_configuration", "SelectedConfigurations", self._select
+    def _table(self) -> dict[str, tuple[str, Answer]]:
+        """Return the services: by name under `/rosa_kb/` the type, and what answers a request."""
+        kb = self._kb
+        elements = self._list
         plan = "ReconfigurationPlanQuery"
-        yield "reconfiguration_plan/get", plan, lambda request: self._plan(self._find_plan(request))
-        yield "reconfiguration_plan/get_latest", plan, lambda _: self._plan(self._kb.latest_plan)
-        yield "reconfiguration_plan/result/set", plan, self._finish_plan
-        yield "component_process/insert", "ComponentProcessQuery", self._start_process
-        yield "component_process/end/set", "ComponentProcessQuery", self._end_process
-        yield "component_process/get_active", "ComponentProcessQueryArray", self._processes
+        process = "ComponentProcessQuery"
+        return {
+            "action/exists": ("ActionQuery", partial(self._get, "action")),
+            "action/request": ("ActionQuery", self._request_action),
+            "action/selectable": ("ActionQueryArray", self._selectable_actions),
+            "function/adaptable": (
+                "AdaptableFunctions",
+                lambda _: elements("functions", kb.adaptable_functions()),
+            ),
+            "component/adaptable": (
+                "AdaptableComponents",
+                lambda request: elements(
+                    "components", kb.adaptable_components(request["selected_fds"])
+                ),
+            ),
+            "component/active/set": ("ComponentQuery", self._set_active),
+            "component/active/get": ("ComponentQuery", partial(self._get, "component")),
+            "component_parameters/get": ("GetComponentParameters", self._parameters),
+            "function_designs/selectable": (
+                "SelectableFunctionDesigns",
+                lambda request: elements("fds", kb.selectable_designs(request["function"]["name"])),
+            ),
+            "function_designs/priority": (
+                "GetFunctionDesignPriority",
+                lambda request: elements("fds", _names(request["fds"])),
+            ),
+            "component_configuration/selectable": (
+                "SelectableComponentConfigurations",
+                lambda request: elements(
+                    "c_configs", kb.selectable_configurations(request["component"]["name"])
+                ),
+            ),
+            "component_configuration/priority": (
+                "GetComponentConfigurationPriority",
+                lambda request: elements("c_configs", _names(request["c_configs"])),
+            ),
+            "select_configuration": ("SelectedConfigurations", self._select),
+            "reconfiguration_plan/get": (
+                plan,
+                lambda request: self._plan(self._find_plan(request)),
+            ),
+            "reconfiguration_plan/get_latest": (plan, lambda _: self._plan(kb.latest_plan)),
+            "reconfiguration_plan/result/set": (plan, self._finish_plan),
+            "component_process/insert": (process, self._start_process),
+            "component_process/end/set": (process, self._end_process),
+            "component_process/get_active": (f"{process}Array", self._processes),
+        }
 
     def _answer(self, name: str, answer: Answer, request: Message) -> Message:
         """Add `success` to an answer; answers have no field for a reason, so `/rosa/log` has it."""
@@ -99,21 +123,6 @@ class RosaServices:
         names = _names(request["actions"])
         selectable = self._kb.selectable_actions()
         return self._list("actions", [n for n in selectable if n in names or not names])
-
-    def _adaptable_functions(self, _: Message) -> Message:
-        return self._list("functions", self._kb.adaptable_functions())
-
-    def _adaptable_components(self, request: Message) -> Message:
-        return self._list("components", self._kb.adaptable_components(request["selected_fds"]))
-
-    def _selectable(self, request: Message) -> Message:
-        if "function" in request:
-            return self._list("fds", self._kb.selectable_designs(request["function"]["name"]))
-        name = request["component"]["name"]
-        return self._list("c_configs", self._kb.selectable_configurations(name))
-
-    def _named(self, field: str, request: Message) -> Message:
-        return self._list(field, _names(request[field]))
 
     def _select(self, request: Message) -> Message:
         designs = _names(request["selected_fds"])
@@ -223,8 +232,7 @@ def parameter_messages(parameters: Mapping[str, Any]) -> list[Message]:
 def _value_message(value: Any) -> Message:  # noqa: ANN401  # of a parameter
     is_list = isinstance(value, list)
     example = (value or [0.0])[0] if is_list else value
-    kinds = type(example).__mro__  # numpy's numbers are subclasses of these
-    code, name = next(_BY_TYPE[kind] for kind in kinds if kind in _BY_TYPE)
+    code, name = next(_BY_TYPE[kind] for kind in _BY_TYPE if isinstance(example, kind))
     if is_list:
         return {"type": code + 5, f"{name}_array_value": value}
     return {"type": code, f"{name}_value": value}

@@ -28,11 +28,6 @@ _WHOLE = re.compile(r"-?\d+", re.ASCII)
 _NUMBER = re.compile(
     r"\s*[-+]?(?:inf|nan|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)", re.IGNORECASE | re.ASCII
 )
-BOOLS = {
-    **dict.fromkeys(("1", "true", "TRUE", "True"), True),
-    **dict.fromkeys(("0", "false", "FALSE", "False"), False),
-}
-
 _ANY = (None, Any, object)
 
 
@@ -309,7 +304,8 @@ class Ports:
                 raise NodeError(f"{before}, and {name!r} declares it as {type_name(wanted)}")
         for name, port in declared.items():
             if port.required and not port.has_default and name not in written:
-                raise NodeError(f"it needs a value for {name!r}; write {name}=... in the element")
+                where = f"write {name}=... in the element, or hand it to BehaviourRegistry"
+                raise NodeError(f"it needs a value for {name!r} when it is made; {where}")
 
     def exists(self, name: str) -> bool:
         """Tell whether a port has a value now; its default does not count."""

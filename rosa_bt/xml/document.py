@@ -9,8 +9,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.parsers.expat import ExpatError, ParserCreate
 
-from rosa_bt.exceptions import XmlError, hint
-from rosa_bt.xml.blackboard import BOOLS, key_of
+from rosa_bt.exceptions import XmlError
+from rosa_bt.xml.blackboard import key_of
 from rosa_bt.xml.nodes import RULES
 
 EXPLICIT = ("Action", "Condition", "Control", "Decorator")
@@ -123,7 +123,7 @@ def _convert(element: Element, trees: Container[str | None]) -> Iterator[str]:
         yield f"<{name}> is <{element.tag}>"
     for attribute, text in list(element.items()):
         renamed = _PORTS.get(f"{element.tag} {attribute}")
-        if renamed and BOOLS.get(text, True):
+        if renamed and text.lower() != "false":
             element.set(renamed, element.attrib.pop(attribute))
             yield f"{attribute} is {renamed}"
         elif element.tag == "SubTree" and attribute in element.ports and text[:1] != "{":
@@ -188,11 +188,6 @@ class Document:
             (name,) = self.trees
         return name
 
-    def tree(self, name: str, asked_by: Element) -> Element:
-        if name not in self.trees:
-            raise asked_by.error(f"no tree has the ID {name!r}; {hint(name, self.trees, 'trees')}")
-        return self.trees[name]
-
     def _parse(self, text: str | bytes, file: str) -> Element:
         """Return the outermost element.
 
@@ -256,8 +251,6 @@ class Document:
                 for model in element.children:
                     if model.tag in MODELS:
                         self._add(self.models, model)
-                    else:
-                        self.note(model.where, f"<{model.tag}> means nothing in <TreeNodesModel>")
             elif element.tag == "include":
                 self._include(element, folder)
             else:

@@ -16,7 +16,6 @@ from typing import ClassVar
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.composites import Composite
-from py_trees.decorators import Decorator
 from py_trees.ports import PortInformation
 
 from rosa_bt.behaviours import RosaAction, Ticking
@@ -117,6 +116,7 @@ class Named(Behaviour):
     arity: ClassVar[tuple[float, float]] = (0, 0)
     """Least and greatest number of children."""
     ports: Ports
+    _since: float | None = None
 
     def __init_subclass__(cls, *, is_node: bool = True, **ports: object) -> None:
         """Declare ports: by a type, None for any, or by a default value of the type."""
@@ -133,8 +133,15 @@ class Named(Behaviour):
         """Return the time by the clock of the whole tree [s]."""
         return self.ports.blackboard.root.clock()
 
+    def is_over(self) -> bool:
+        """Start the time if it is not started; tell whether the first port [ms] has passed."""
+        now = self.now()
+        if self._since is None:
+            self._since = now
+        return bool(now - self._since >= self.ports.get(*self.PORTS) / 1000 - ROUNDING_S)
 
-class XmlNode(Named, is_node=False):
+
+class XmlNode(Named, Composite, is_node=False):
     """A node with children: made of a name and the places of its children."""
 
     arity = (1, inf)
@@ -143,8 +150,7 @@ class XmlNode(Named, is_node=False):
 
     def __init__(self, name: str, slots: list[Slot]) -> None:
         self._slots = {slot.node: slot for slot in slots}
-        nodes = list(self._slots)
-        super().__init__(name, nodes if isinstance(self, Composite) else nodes[0])  # type: ignore[call-arg]  # of the composite or decorator
+        super().__init__(name, list(self._slots))
 
     @property
     def slots(self) -> list[Slot]:
@@ -190,10 +196,6 @@ class XmlNode(Named, is_node=False):
             if slot not in kept:
                 slot.reset()
 
-
-class Control(XmlNode, Composite, is_node=False):
-    """A node with several children."""
-
     def tip(self) -> Behaviour | None:
         """Return the tip of the last child that has the same outcome."""
         for child in reversed(self.children):
@@ -202,8 +204,11 @@ class Control(XmlNode, Composite, is_node=False):
         return Behaviour.tip(self)
 
 
-class OneChild(XmlNode, Decorator, is_node=False):
-    """A node with one child, which becomes idle when it has finished."""
+class OneChild(XmlNode, is_node=False):
+    """A node with one child, which becomes idle when it has finished.
+
+    By itself, a root for callers that know no slots.
+    """
 
     arity = (1, 1)
 
@@ -216,10 +221,6 @@ class OneChild(XmlNode, Decorator, is_node=False):
         if verdict in DONE:
             self.child.reset()
         return verdict
-
-
-class Branch(OneChild, is_node=False):
-    """Ticks its child; a root for callers that know no slots."""
 
 
 def is_plain(leaf: Behaviour) -> bool:
@@ -317,14 +318,13 @@ class Sleep(Named, msec=int):
     """RUNNING for `msec` [ms], then SUCCESS."""
 
     def initialise(self) -> None:
-        self._since = self.now()
+        self._since = None
 
     def update(self) -> Status:
-        is_over = self.now() - self._since >= self.ports.get("msec") / 1000 - ROUNDING_S
-        return SUCCESS if is_over else RUNNING
+        return SUCCESS if self.is_over() else RUNNING
 
 
-class Sequence(Control):
+class Sequence(XmlNode):
     """Ticks one child after the other; `current_child` is the next one to tick, None the first.
 
     Attributes:
@@ -394,7 +394,7 @@ class AsyncFallback(Fallback):
     is_async = True
 
 
-class ReactiveSequence(Control):
+class ReactiveSequence(XmlNode):
     """Ticks the children from the first in each tick.
 
     A running child resets and halts all others.
@@ -442,7 +442,7 @@ class PipelineSequence(ReactiveSequence):
         return is_late
 
 
-class Parallel(Control, success_count=-1, failure_count=1):
+class Parallel(XmlNode, success_count=-1, failure_count=1):
     """Ends as soon as enough children have succeeded or failed.
 
     The others are halted, or no longer ticked.
@@ -494,7 +494,7 @@ class ParallelAll(Parallel, max_failures=1):
         return FAILURE if ended.count(FAILURE) >= failures else SUCCESS
 
 
-class IfThenElse(Control):
+class IfThenElse(XmlNode):
     """Ticks the first child as a condition.
 
     If it succeeds, the second child, and if it fails, the third.
@@ -535,7 +535,7 @@ class WhileDoElse(IfThenElse):
     asks_always = True
 
 
-class Switch(Control, is_node=False):
+class Switch(XmlNode, is_node=False):
     """Ticks the child whose case equals the variable, or else the last.
 
     There is a class for each number of cases.
@@ -780,19 +780,10 @@ for _name, _zero in {"Int": 0, "Double": 0.0, "Bool": False, "String": ""}.items
 class Timed(OneChild, is_node=False):
     """A decorator with a duration, its only port, which counts from the tick in which it starts."""
 
-    _since: float | None = None
-
     def prepare(self, ports: Ports) -> None:
         super().prepare(ports)
         if any(ports.get(name) < 0 for name in ports.literals):
             raise NodeError("it takes no negative number")
-
-    def is_over(self) -> bool:
-        """Start the time if it is not started, and tell whether it is over."""
-        now = self.now()
-        if self._since is None:
-            self._since = now
-        return bool(now - self._since >= self.ports.get(*self.PORTS) / 1000 - ROUNDING_S)
 
     def decide(self) -> Ticking:
         verdict = yield from super().decide()
@@ -826,7 +817,7 @@ class RateController(Gate, hz=10.0):
 
     runs = True
     closed = RUNNING
-    _since = 0.0
+    _since: float = 0.0
 
     def instead(self) -> Status | None:
         elapsed = self.now() - self._since
@@ -864,7 +855,7 @@ class GoalUpdatedController(Gate):
         return (yield from super().decide())
 
 
-class RecoveryNode(Control, number_of_retries=1):
+class RecoveryNode(XmlNode, number_of_retries=1):
     """Ticks the first child; when it fails, the second, then the first again, some times."""
 
     arity = (2, 2)
@@ -892,7 +883,7 @@ class RecoveryNode(Control, number_of_retries=1):
             self._retries += 1
 
 
-class RoundRobin(Control, wrap_around=False):
+class RoundRobin(XmlNode, wrap_around=False):
     """Ticks the next child, until one succeeds or all failed.
 
     Without `wrap_around`, ends at the last.
@@ -923,7 +914,7 @@ class RoundRobin(Control, wrap_around=False):
         return self.end(SKIPPED if skipped == len(slots) else FAILURE)
 
 
-class NonblockingSequence(Control):
+class NonblockingSequence(XmlNode):
     """Ticks all children in each tick, until one fails or all have succeeded."""
 
     runs = False
@@ -942,7 +933,7 @@ class NonblockingSequence(Control):
         return RUNNING if is_open else self.end(SUCCESS)
 
 
-class PersistentSequence(Control, current_child_idx=int):
+class PersistentSequence(XmlNode, current_child_idx=int):
     """A sequence that keeps its place on the blackboard, also when it is halted."""
 
     def decide(self) -> Ticking:
@@ -960,7 +951,7 @@ class PersistentSequence(Control, current_child_idx=int):
 
 
 class PauseResumeController(
-    Control,
+    XmlNode,
     pause_service_name="",
     resume_service_name="",
 ):

@@ -14,9 +14,9 @@ from rosa_bt.behaviours import ActionBehaviour, HasStatus, IsActionFeasible, Mea
 from rosa_bt.composites import DoUntilUnfeasible
 from rosa_bt.decorators import Clock, ClockFollower, ForAction, Retry, UntilSuccess
 from rosa_bt.exceptions import RegistryError, RosaBtError, XmlError, hint, in_words
-from rosa_bt.xml.blackboard import Blackboard, Declared, NodeError, Ports, convert, key_of
+from rosa_bt.xml.blackboard import Blackboard, Declared, Ports, convert, key_of
 from rosa_bt.xml.document import MARKS, Document, Element
-from rosa_bt.xml.nodes import NODES, RULES, Branch, Slot, is_plain
+from rosa_bt.xml.nodes import NODES, RULES, OneChild, Slot, is_plain
 from rosa_bt.xml.scripts import parse_script
 
 Factory = Callable[..., Behaviour]
@@ -154,7 +154,7 @@ class BehaviourRegistry:
         return None
 
 
-class SubTree(Branch, ClockFollower, is_node=False):
+class SubTree(OneChild, ClockFollower, is_node=False):
     """A tree of a file: below another tree, or as the root that is ticked.
 
     Attributes:
@@ -224,18 +224,21 @@ class _Builder:
         self._path: list[str] = []  # IDs of the trees around the node that is being made
 
     def tree(self, tree: str, asked_by: Element, name: str | None, board: Blackboard) -> SubTree:
+        trees = self._document.trees
+        if tree not in trees:
+            raise asked_by.error(f"no tree has the ID {tree!r}; {hint(tree, trees, 'trees')}")
         if tree in self._path:
             raise asked_by.error(f"a tree contains itself: {' -> '.join([*self._path, tree])}")
         self._path.append(tree)
-        slot = self._slot(self._document.tree(tree, asked_by).children[0], board)
+        slot = self._slot(trees[tree].children[0], board)
         self._path.pop()
         return SubTree(name or tree, slot, board, tree, self._document)
 
     def _slot(self, element: Element, board: Blackboard) -> Slot:
         try:
             node = self._node(element, board)
-            codes = [(rule, element.get(rule)) for rule in RULES]
-            rules = {rule: parse_script(code, board) for rule, code in codes if code is not None}
+            written = [rule for rule in RULES if rule in element.attrib]
+            rules = {rule: parse_script(element.attrib[rule], board) for rule in written}
         except XmlError:
             raise
         except Exception as error:  # constructors of the user may raise anything
@@ -246,12 +249,15 @@ class _Builder:
 
     def _node(self, element: Element, board: Blackboard) -> Behaviour:
         tag = element.node
-        if tag == "SubTree":
-            return self._subtree(element, board)
         entry = self._registry.entries.get(tag) or NODES.get(tag)
-        if entry is None:
+        if entry is None and tag != "SubTree":
             raise element.error(self._unknown(tag))
-        _check_children(element, *entry.arity)
+        count = len(element)
+        least, most = entry.arity if entry else (0, 0)
+        if not least <= count <= most:
+            raise element.error(f"children of <{tag}>: {count}; it takes {least} to {most}")
+        if entry is None:
+            return self._subtree(element, board)
         name = element.get("name") or tag
         slots = [self._slot(child, board) for child in element.children]
         if isinstance(entry, Registration):
@@ -276,12 +282,8 @@ class _Builder:
             for name, text in written.items()
             if name in arguments and key_of(text, name) is None
         }
-        for key, argument in arguments.items():
-            if argument.required and key not in literals:
-                where = f"write {key}=... with a value, or hand it to BehaviourRegistry"
-                raise NodeError(f"it needs a value for {key!r} when it is made; {where}")
         constants = Ports(arguments, literals, board)
-        branches = [Branch(slot.node.name, [slot]) for slot in slots]
+        branches = [OneChild(slot.node.name, [slot]) for slot in slots]
         roles: dict[str, Any] = {"name": name, "children": branches, "blackboard": board}
         roles.update(zip(entry.child_parameters, branches, strict=False))
         behaviour = entry.make(roles, {name: constants.get(name) for name in literals})
@@ -306,8 +308,6 @@ class _Builder:
         if isinstance(behaviour, PortsMixin):
             ports.connect(behaviour)
         if isinstance(behaviour, ActionBehaviour) and "action" not in ports.keys:
-            if behaviour.named_action is None and "action" not in written:
-                raise element.error(f"<{element.node}> has no action; write action=... in it")
             action = behaviour.action
             behaviour.kb.is_feasible(action)  # raises now, if it is unknown
             if ports.literals.get("action", action) != action:
@@ -324,7 +324,6 @@ class _Builder:
 
     def _subtree(self, element: Element, around: Blackboard) -> SubTree:
         tree = element.needed("ID")
-        _check_children(element, 0, 0)
         autoremap = convert(element.get("_autoremap", "false"), bool)
         ports = element.ports
         model = self._document.models.get(tree, element)
@@ -352,12 +351,3 @@ def ports_of(behaviour: Behaviour) -> Declared:
         **behaviour.input_ports(),
         **{name: replace(port, required=False) for name, port in outputs},
     }
-
-
-def _check_children(element: Element, least: float, most: float) -> None:
-    count = len(element)
-    if not least <= count <= most:
-        numbers = f"at least {least}" if most == inf else f"{least} to {most}"
-        if least == most:
-            numbers = str(least)
-        raise element.error(f"children of <{element.node}>: {count}; it takes {numbers}")

@@ -15,7 +15,7 @@ from py_trees.decorators import Decorator, FailureIsSuccess, Inverter, SuccessIs
 from rosa_bt.decorators import Delay, Timeout, Timer
 from rosa_bt.exceptions import ExportError, XmlError
 from rosa_bt.xml.document import Document, wrong_id
-from rosa_bt.xml.nodes import NODES, Branch, Slot, XmlNode, is_plain
+from rosa_bt.xml.nodes import NODES, OneChild, Slot, XmlNode, is_plain
 from rosa_bt.xml.reader import BehaviourRegistry, Registration, SubTree, ports_of
 
 _TAGS: Mapping[type[Behaviour], str] = {
@@ -61,12 +61,13 @@ def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None) 
     indent(root)
     text = tostring(root, encoding="unicode") + "\n"
     try:
-        problems = Document([text]).notes
+        notes = Document([text]).notes
     except XmlError as error:
-        problems = [str(error)]
+        notes = [str(error)]
+    again = f"{behaviour.name!r} cannot be written so that it can be read again"
+    problems = [*writer.problems, *(f"{again}: {note}" for note in notes)]
     if problems:
-        problem = f"{behaviour.name!r} cannot be written so that it can be read again"
-        raise ExportError(f"{problem}: {problems[0]}")
+        raise ExportError(problems[0])
     return text
 
 
@@ -87,56 +88,20 @@ def _free_name(name: str, taken: Container[str]) -> str:
     return free
 
 
-def _source(
-    node: Behaviour, registry: BehaviourRegistry | None = None
-) -> tuple[str, dict[str, str], str]:
-    """Return tag and attributes of a behaviour that is not from a file, and what they lack."""
-    kind = type(node)
-    if kind in _TAGS:
-        tag = _TAGS[kind]
-        if isinstance(node, Sequence | Selector):
-            tag = tag if node.memory else f"Reactive{tag}"
-            return tag, {}, "" if node.children else "it has no children"
-        if isinstance(node, Timer | Timeout | Delay):
-            milliseconds = f"{node.duration * 1000:.12g}"
-            problem = "" if milliseconds.isdigit() else "XML has whole milliseconds"
-            return tag, dict.fromkeys(NODES[tag].PORTS, milliseconds), problem
-        return tag, {}, ""
-    known = registry or BehaviourRegistry(kb=None)
-    tag = known.name_of(node) or kind.__name__
-    registration = known.entries.get(tag) or Registration(kind, None, {"kb": None})
-    is_known = known.name_of(node) is not None
-    if not is_known and (registry is not None or node.children or tag in NODES):
-        return tag, {}, "it is not registered, and has no exact counterpart in BehaviorTree.CPP"
-    problem = wrong_id(tag)
-    attributes = {}
-    for name in {**registration.arguments, **ports_of(node)}:
-        parameter = registration.parameters.get(name)
-        try:
-            value = getattr(node, name)
-        except (AttributeError, RuntimeError):  # RuntimeError: a port that is not connected
-            if registration.factory is kind:
-                problem = f"it has no attribute {name!r}, with which it was made"
-            continue
-        if value is not None and (parameter is None or value != parameter.default):
-            attributes[name] = str(value).lower() if isinstance(value, bool) else str(value)
-            if not isinstance(value, bool | int | float | str):
-                problem = f"its attribute {name!r} is neither a number nor a text"
-    return tag, attributes, problem
-
-
 class _Writer:
     """Makes the elements of trees.
 
     Attributes:
         trees: the first elements of the trees, by ID.
         models: the elements of the TreeNodesModels of their files, by ID.
+        problems: why behaviours cannot be written exactly.
     """
 
     def __init__(self, registry: BehaviourRegistry | None = None) -> None:
         self._registry = registry
         self.trees: dict[str, Element] = {}
         self.models: dict[str, Element] = {}
+        self.problems: list[str] = []
 
     def tree(self, root: Behaviour) -> str:
         """Write a tree; return its ID, a new one if another tree has its own."""
@@ -152,25 +117,62 @@ class _Writer:
 
     def element(self, slot: Slot) -> Element:
         node = slot.node
-        element = Element(*(slot.source or self.source(node)))  # type: ignore[arg-type]  # it is copied
+        element = Element(*(slot.source or self._source(node)))  # type: ignore[arg-type]  # it is copied
         if isinstance(node, SubTree):
             element.set("ID", self.tree(node))
             return element
         if isinstance(node, XmlNode):
             slots = node.slots
-        else:  # a Branch is not in the file
+        else:  # a OneChild is not in the file
             children = node.children
-            slots = [child.child if type(child) is Branch else Slot(child) for child in children]
+            slots = [child.child if type(child) is OneChild else Slot(child) for child in children]
         element.extend([self.element(child) for child in slots])
         return element
 
-    def source(self, node: Behaviour) -> tuple[str, dict[str, str]]:
+    def _source(self, node: Behaviour) -> tuple[str, dict[str, str]]:
         """Return tag and attributes of a behaviour that is not from a file."""
-        tag, attributes, problem = _source(node, self._registry)
+        kind = type(node)
+        attributes = {"name": node.name}
+        problem = ""
+        if kind in _TAGS:
+            tag = _TAGS[kind]
+            if isinstance(node, Sequence | Selector):
+                tag = tag if node.memory else f"Reactive{tag}"
+                problem = "" if node.children else "it has no children"
+            elif isinstance(node, Timer | Timeout | Delay):
+                milliseconds = f"{node.duration * 1000:.12g}"
+                problem = "" if milliseconds.isdigit() else "XML has whole milliseconds"
+                attributes.update(dict.fromkeys(NODES[tag].PORTS, milliseconds))
+        else:
+            known = self._registry or BehaviourRegistry(kb=None)
+            name = known.name_of(node)
+            tag = name or kind.__name__
+            registration = known.entries.get(tag) or Registration(kind, None, {"kb": None})
+            if name or not (self._registry or node.children or tag in NODES):
+                problem = wrong_id(tag) or _add_arguments(node, registration, attributes)
+            else:
+                problem = "it is not registered, and has no exact counterpart in BehaviorTree.CPP"
         if problem:
-            what = f"{type(node).__name__} {node.name!r}"
-            raise ExportError(f"{what} cannot be written: {problem}")
-        return tag, {"name": node.name, **attributes}
+            self.problems.append(f"{kind.__name__} {node.name!r} cannot be written: {problem}")
+        return tag, attributes
+
+
+def _add_arguments(node: Behaviour, registration: Registration, attributes: dict[str, str]) -> str:
+    """Add the arguments with which a behaviour was made; return what is not known of them."""
+    problem = ""
+    for name in {**registration.arguments, **ports_of(node)}:
+        parameter = registration.parameters.get(name)
+        try:
+            value = getattr(node, name)
+        except (AttributeError, RuntimeError):  # RuntimeError: a port that is not connected
+            if registration.factory is type(node):
+                problem = f"it has no attribute {name!r}, with which it was made"
+            continue
+        if value is not None and (parameter is None or value != parameter.default):
+            attributes[name] = str(value).lower() if isinstance(value, bool) else str(value)
+            if not isinstance(value, bool | int | float | str):
+                problem = f"its attribute {name!r} is neither a number nor a text"
+    return problem
 
 
 class NumberedTree(_Writer):
@@ -226,12 +228,8 @@ class NumberedTree(_Writer):
         element.attrib.update(name=node.name, _uid=str(number))
         kind = "Condition" if is_plain(node) else "Action"
         if node.children:
-            kind = "Decorator" if isinstance(node, Decorator) else "Control"
+            kind = "Decorator" if isinstance(node, Decorator | OneChild) else "Control"
         tag = element.get("ID", element.tag)
         if not isinstance(node, SubTree):
             self.models[tag] = Element(kind, ID=tag)
         return element
-
-    def source(self, node: Behaviour) -> tuple[str, dict[str, str]]:
-        tag, attributes, _ = _source(node)
-        return tag, attributes

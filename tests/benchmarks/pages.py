@@ -18,19 +18,17 @@ PAGES = 20
 async def look(url):
     """Follow until the view is closed.
 
-    Returns the number after the last row, and how many were not given.
+    Returns how many rows came after the present, and how many were not given.
     """
     async with websockets.connect(url, max_size=None, compression=None) as page:
-        hello = json.loads(await page.recv())
-        following = hello["next"]
-        missed = 0
+        await page.recv()
+        count = missed = 0
         print("looking", flush=True)
         async for text in page:
             said = json.loads(text)
-            if "rows" in said:
-                missed += said["from"] - following
-                following = said["from"] + len(said["rows"])
-    return following, missed
+            count += len(said.get("rows", ()))
+            missed = said.get("dropped", missed)
+    return count, missed
 
 
 async def freeze(url):

@@ -183,6 +183,13 @@ class Managed:
     def set_parameters(self, component, parameters): ...
 
 
+def test_house_page_names_files_that_exist():
+    text = (ROOT / "docs" / "house.md").read_text()
+    named = re.findall(r"`([a-z_]+/[\w/]+\.\w+)`", text)
+    assert named
+    assert [path for path in named if not (ROOT / path).exists()] == []
+
+
 def test_measurement_takes_a_short_way_to_the_parameters_it_changes():
     now = [0.0]
     kb = KnowledgeBase(suave_extended_model(), clock=lambda: now[0])

@@ -32,7 +32,14 @@ class Picture(NamedTuple):
 
 
 PICTURES = (
-    Picture("page_desk", "suave_extended", "bt", "#t=151&a=7&e=25", (1440, 900), "light"),
+    Picture(
+        "page_desk",
+        "suave_extended",
+        "bt",
+        "#t=151&a=7&e=attribute+water_visibility",
+        (1440, 900),
+        "light",
+    ),
     Picture("page_dark", "agv", "pddl", "#t=12&a=1", (1440, 900), "dark"),
     Picture("page_telephone", "uav", "bt", "#t=122.7&a=2", (375, 780), "light"),
 )

@@ -11,6 +11,7 @@ from py_trees.decorators import Decorator, Inverter, OneShot, RunningIsFailure, 
 from kb import Model
 from kb.planning import PriorityPlanner
 from missions.proof import Leaf, always, eventually, never
+from missions.proof.setup import failed
 from rosa_bt import (
     ForAction,
     HasStatus,
@@ -160,21 +161,15 @@ class Half:
         return None
 
 
-FULL = {"start": {"energy": 0.625, "light": 1.5}}
-
-
 BOTH = never(
     "explore and charge exclude each other",
-    lambda rig: rig.is_required("explore") and rig.is_required("charge"),
+    lambda rig: "explore" in rig.required and "charge" in rig.required,
 )
 
 
 @dataclass
 class Case:
-    """A mission, and which property is broken.
-
-    `options` are those of `verify`, instead of FULL's.
-    """
+    """A mission, and which property is broken; `options` are those of `verify`."""
 
     name: str
     build: object
@@ -183,9 +178,16 @@ class Case:
     wanted: tuple = ()
     options: dict = field(default_factory=dict)
 
+    def tree(self, kb):
+        """Build the tree for a rover with enough energy and light."""
+        for name, value in (("energy", 0.625), ("light", 1.5)):
+            if name in kb.attributes:
+                kb.measure(name, value)
+        return self.build(kb)
+
     @property
     def arguments(self):
-        return {**FULL, "wanted": (BOTH, *self.wanted), **self.options}
+        return {"wanted": (BOTH, *self.wanted), **self.options}
 
 
 def explore(kb, **options):
@@ -272,35 +274,35 @@ WORKS = {"leaves": {"explore": Leaf("RS")}}
 
 ONLY_IF_NEEDED = never(
     "it does not charge while it could explore",
-    lambda rig: rig.is_required("charge") and rig.kb.is_feasible("explore"),
+    lambda rig: "charge" in rig.required and rig.kb.is_feasible("explore"),
 )
 DAY = always(
     "by day the camera is set for the day",
     lambda rig: (
-        (rig.measured("light") or 0) < 0.5
+        (rig.kb.attributes["light"].value or 0) < 0.5
         or not rig.kb.components["camera"].is_active
         or rig.kb.configurations["day"].is_selected
     ),
 )
 ENOUGH = always(
     "it explores with enough energy only",
-    lambda rig: not rig.is_required("explore") or (rig.measured("energy") or 1) >= 0.25,
+    lambda rig: "explore" not in rig.required or (rig.kb.attributes["energy"].value or 1) >= 0.25,
 )
 STILL = eventually(
     "it can explore again",
-    lambda rig: rig.is_required("explore") or rig.root.status is Status.SUCCESS,
+    lambda rig: "explore" in rig.required or rig.root.status is Status.SUCCESS,
 )
 CHARGED = never(
     "charged it can explore",
     lambda rig: (
-        rig.measured("energy") in (0.625, 0.1)
+        rig.kb.attributes["energy"].value in (0.625, 0.1)
         and not rig.kb.is_feasible("explore")
-        and not rig.read().failed
+        and not failed(rig.read())
     ),
 )
 OVER = never(
     "it is over only when it could explore",
-    lambda rig: rig.root.status is Status.SUCCESS and rig.measured("energy") == 0.125,
+    lambda rig: rig.root.status is Status.SUCCESS and rig.kb.attributes["energy"].value == 0.125,
 )
 UNFEASIBLE, RELEASED, TOGETHER = "unfeasible for longer", "released once", "exclude each other"
 GOAL, STUCK, WAVERS = "goal is reached if", "not stuck", "waver"
@@ -483,7 +485,6 @@ CORRECT = [
         "steps that need what has failed since",
         lambda kb: in_turn(Act("drive", kb, "drive"), Act("look", kb, "look"), memory=True),
         model=fetching_model,
-        options={"start": {}},
     ),
     Case("more light", either, **rover(dark=2.0)),
     Case(

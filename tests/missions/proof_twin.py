@@ -71,7 +71,7 @@ def random_setup(seed):
         root = ways[int(rng.integers(5))]()
         return UntilSuccess("until done", root) if rng.random() < 0.5 else root
 
-    return Setup(build, model, start={"level": 0.75}, seconds=600.0)
+    return Setup(build, model, seconds=600.0)
 
 
 def seen(rig):
@@ -123,8 +123,8 @@ class Twin:
         self.runs += 1
         rig = Rig(self.setup)
         self.faults |= set(rig.begin())
-        for changes, answers in story:
-            for change in changes:
+        for change, answers in story:
+            if change is not None:
                 change.apply(rig.kb)
             self.faults |= set(rig.settle())
             rig.tick(script if answers is None else answers)
@@ -136,15 +136,15 @@ class Twin:
         rig = self.run(story)
         if rig.root.status is Status.SUCCESS:
             return
-        for changes, _ in list(rig.environment.changes(rig.read())):
+        for change, _ in rig.environment.changes(rig.read()):
             scripts = [()]
             while scripts:
-                rig = self.run((*story, (changes, None)), scripts.pop())
+                rig = self.run((*story, (change, None)), scripts.pop())
                 scripts += rig.others
                 self.situations.add(seen(rig))
                 if key(rig) not in keys:
                     keys.add(key(rig))
-                    yield (*story, (changes, rig.taken))
+                    yield (*story, (change, rig.taken))
 
 
 def agree(seed, rounds):
@@ -152,9 +152,9 @@ def agree(seed, rounds):
     setup = random_setup(seed)
     found = Exploration(setup).explore()
     twin = Twin(replace(setup, symmetric=False), rounds)
-    assert found.is_finished
-    early = [number for number in found.every if len(found.path(number)) <= rounds]
-    assert {seen(found.load(found.situations[number])) for number in early} == twin.situations
+    assert not found.unexplored
+    early = [each.state for each in found.situations if len(each.path) <= rounds]
+    assert {seen(found.load(state)) for state in early} == twin.situations
     assert twin.ticked <= {node.name for node in found.rig.ticked}
     soon = {fault for fault, trail in found.faults.items() if len(trail) <= rounds}
     assert soon <= twin.faults <= set(found.faults)

@@ -46,6 +46,9 @@ class QoSProfile:
         self.reliability = reliability
         self.durability = durability
 
+    def __eq__(self, other):
+        return vars(self) == vars(other)
+
     def serves(self, asked):
         """Return whether a subscription with another profile hears a publisher with this one."""
         return self.reliability <= asked.reliability and self.durability <= asked.durability
@@ -356,7 +359,7 @@ def _name(name):
 
 def _quality(qos_profile):
     assert isinstance(qos_profile, QoSProfile | int)
-    return qos_profile
+    return QoSProfile(depth=qos_profile) if isinstance(qos_profile, int) else qos_profile
 
 
 # ------------------------------------------------------------ message packages

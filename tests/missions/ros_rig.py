@@ -79,10 +79,18 @@ class Rig:
         self.server = ActionServer(host)
         host.advertise("/battery_state", BATTERY)
         self.kb = KnowledgeBase(rover(), clock=lambda: self.now)
+        self.heard = 0
+        self._receive = self.kb.receive
+        self.kb.receive = self.count_diagnostics
         places = {"energy": f"/battery_state.percentage {BATTERY}"}
         self.bridge = Bridge(self.kb, node, BridgeSettings(attributes=places, **settings))
         until(lambda: node.is_connected and host.has_hearer("/diagnostics"))
         self.manager = ConfigurationManager(self.kb, self.bridge.managed)
+
+    def count_diagnostics(self, *given, **options):
+        problems = self._receive(*given, **options)
+        self.heard += 1
+        return problems
 
     def measure(self, value, stamp=0.0):
         header = {"stamp": {"sec": int(stamp), "nanosec": round(stamp % 1 * 1e9)}, "frame_id": ""}

@@ -109,7 +109,7 @@ def test_request_has_to_be_allowed_and_passes_the_gate(kb):
         ("why", {"element": "inspekt_pipeline"}, ["inspect_pipeline"]),
         ("what_if", {"measured": {"batery": 1}, "failed": []}, ["battery_level"]),
         ("why", {"element": MUCH}, ["unknown"]),
-        (MUCH, {}, ["there is no tool 'xxx"]),
+        (MUCH, {}, ["Unknown tool: xxx"]),
     ],
 )
 def test_call_that_is_wrong_is_refused_in_words(kb, tool, arguments, words):

@@ -5,6 +5,7 @@ import json
 import pytest
 from running import called
 
+from kb import UnknownName
 from missions.baselines import open_run
 from missions.engine.faults import Fault, read_fault
 from missions.engine.mission import MissionError, find_mission
@@ -135,10 +136,10 @@ def test_breakpoint_is_met_when_it_begins_to_hold(text, rows, met):
     [
         ("boom", "is no breakpoint; write ELEMENT STATUS"),
         ("battery_level < low", "'low' in breakpoint 'battery_level < low' is no number"),
-        ("inspect_pipelin unfeasible", "did you mean inspect_pipeline"),
-        ("inspect_pipeline < 3", "nothing is named 'inspect_pipeline'"),
+        ("inspect_pipelin unfeasible", "behaviour 'inspect_pipelin'; did you mean 'inspect_pipel"),
+        ("inspect_pipeline < 3", "unknown attribute 'inspect_pipeline'; known"),
     ],
 )
 def test_breakpoint_without_meaning_is_refused(text, words):
-    with pytest.raises(MissionError, match=words):
+    with pytest.raises((MissionError, UnknownName), match=words):
         Breakpoint(text).check(find_mission("suave_extended").model(), [])

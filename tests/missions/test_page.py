@@ -19,7 +19,7 @@ from missions.engine.mission import MissionError, Percepts, find_mission
 from missions.engine.recording import sensed
 from missions.testing.scripted import FakeClock, ScriptedManaged
 from missions.views import recorder as recorder_module
-from missions.views.facts import views_of
+from missions.views.facts import key_of
 from missions.views.recorder import Recorder, RunRecorder
 from missions.views.report import Rows, report, write_report
 from rosa_bt import TreeRunner
@@ -48,9 +48,15 @@ def at(run, time):
 def names(run):
     return {
         value["name"]: key
-        for key, value in reversed(run.last("element").items())
+        for key, value in run.last("element").items()
         if value["kind"] != "constraint"
     }
+
+
+def views_of(kb):
+    """Return all views of a knowledge base, each with the key of its rows."""
+    tables = (kb.actions, kb.functions, kb.designs, kb.components, kb.configurations, kb.attributes)
+    return [(key_of(view.node), view) for table in tables for view in table.values()]
 
 
 def test_rows_say_at_each_instant_what_the_knowledge_base_says():
@@ -64,13 +70,11 @@ def test_rows_say_at_each_instant_what_the_knowledge_base_says():
                 (track, key): value
                 for track, key, value in (row[1:] for row in self.recorder.rows.snapshot()[0])
             }
-            for kind, views in views_of(run.kb).items():
-                for name, view in views.items():
-                    number = self.recorder.names[kind, name]
-                    for track, fact in FACTS.items():
-                        known = getattr(view, fact, None)
-                        assert (seen.get((track, number)) or None) == (known or None)
-                    compared.append(number)
+            for key, view in views_of(run.kb):
+                for track, fact in FACTS.items():
+                    known = getattr(view, fact, None)
+                    assert (seen.get((track, key)) or None) == (known or None)
+                compared.append(key)
             for number, one in enumerate(run.adaptations, start=1):
                 assert ("adaptation", number) in seen or one.reaction_s is None
 
@@ -92,7 +96,7 @@ def test_tree_is_shown_as_it_was_after_each_tick():
     assert "unfeasible" in after["node", nodes["inspect feasible?"]][1]
     assert after["node", nodes["recharge"]][0] == "R"
     about = {node[3]: node[5] for node in after["tree", 0]["nodes"]}
-    assert about["recharge"] == [names(run)["recharge"]]
+    assert about["recharge"] == ["action recharge"]
 
 
 def test_adaptations_are_those_of_the_run_each_with_its_chain():
@@ -112,10 +116,9 @@ def test_adaptations_are_those_of_the_run_each_with_its_chain():
         ("force", "in force 0.12 s after the news"),
     ]
     assert battery["chain"][0]["elements"][0] == found["battery_level"]
-    events = run.last("event")
+    known = run.last("element")
     for link in battery["chain"][:-1]:
-        assert link["event"] in events
-        assert link["elements"]
+        assert known.keys() >= set(link["elements"]) > set()
     assert all(one["chain"] == sorted(one["chain"], key=lambda link: link["t"]) for one in shown)
 
 
@@ -149,8 +152,8 @@ def test_task_plans_of_long_ago_are_forgotten_and_nothing_is_shown_otherwise(mon
 def test_what_if_cases_are_what_the_knowledge_base_would_have_answered():
     run, made = recorded()
     found = names(run)
-    first = next(whatif for whatif in run.last("whatif").values() if whatif["t"] > 12)
-    cases = [one for one in first["cases"] if one.get("attribute") == found["water_visibility"]]
+    first = next(cases for time, _, cases in run.track("whatif") if time > 12)
+    cases = [one for one in first if one.get("attribute") == found["water_visibility"]]
     assert [(case["low"], case["high"], case["now"]) for case in cases] == [
         *((None, 1.25, False), (1.25, 2.25, False), (2.25, 3.25, True), (3.25, None, False))
     ]
@@ -160,11 +163,11 @@ def test_what_if_cases_are_what_the_knowledge_base_would_have_answered():
         *(found[name] for name in ("low_altitude", "medium_altitude", "high_altitude")),
     ]
     low = made.kb.situation(battery_level=0.2)
-    last = list(run.last("whatif").values())[-1]
-    cases = [one for one in last["cases"] if one.get("attribute") == found["battery_level"]]
+    last = run.last("whatif")[0]
+    cases = [one for one in last if one.get("attribute") == found["battery_level"]]
     assert len(cases) == 2
     broken = made.kb.situation(failed=["c_thruster_2"])
-    case = next(one for one in last["cases"] if one.get("component") == found["c_thruster_2"])
+    case = next(one for one in last if one.get("component") == found["c_thruster_2"])
     assert case["verb"] == "failed"
     assert case["feasible"] == [found[name] for name in broken.selectable_actions()]
     assert cases[0]["feasible"] == [found[name] for name in low.selectable_actions()]
@@ -224,9 +227,7 @@ class Rover:
 
 def test_robot_of_ones_own_is_recorded_in_three_lines(tmp_path):
     rover = Rover()
-    recorder = Recorder(
-        rover.kb, rover.runner, units={"light": "lx"}, pose=lambda: (rover.clock.now, 0.0, 0.0)
-    )
+    recorder = Recorder(rover.kb, rover.runner, pose=lambda: (rover.clock.now, 0.0, 0.0))
     rover.kb.measure("light", 0.9)
     rover.kb.measure("energy", 0.9)
     rover.work(2.0)
@@ -247,7 +248,6 @@ def test_robot_of_ones_own_is_recorded_in_three_lines(tmp_path):
         "force",
     ]
     assert shown[1]["chain"][0]["words"] == "energy is 0.1"
-    assert run.last("element")[names(run)["light"]]["unit"] == "lx"
     assert run.last("pose")[0][0] >= 5.0
     recorder.close()
     rover.percepts.receive(sensed(7.0, charged=True))
@@ -384,14 +384,6 @@ def test_facts_told_by_other_threads_while_the_robot_ticks_are_all_shown(caplog)
     for _, key, _value in run.track("value"):
         found[key] = found.get(key, 0) + 1
     assert found == {names(run)[name]: count for name in ("light", "energy")}
-    for kind, views in views_of(rover.kb).items():
-        for name, view in () if kind == "attribute" else views.items():
-            assert run.last("status")[recorder.names[kind, name]] == view.status
+    for key, view in views_of(rover.kb):
+        assert run.last("status").get(key) == getattr(view, "status", None)
     assert caplog.text == ""
-
-
-def test_signal_that_names_no_unit_leaves_an_attribute_its_own():
-    recorder = RunRecorder(open_run(find_mission("suave_extended")), 0, {})
-    units = recorder.recorder.header["units"]
-    assert units["water_visibility"] == "m"
-    assert "battery_level" not in units  # the sea's signal is "battery level [-]"

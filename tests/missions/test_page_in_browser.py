@@ -155,7 +155,7 @@ def test_slider_moves_every_view(shown):
 def test_link_opens_the_same_instant_and_choice_again(shown, visits):
     shown.get_by_role("button", name=re.compile("battery_level is just below")).click()
     shown.locator("#knowledge").get_by_role("button", name="recharge", exact=False).first.click()
-    sync_api.expect(shown).to_have_url(re.compile(r"#t=151(\.\d+)?&a=7&e=\d+$"))
+    sync_api.expect(shown).to_have_url(re.compile(r"#t=151(\.\d+)?&a=7&e=action\+recharge$"))
     assert seen(visits.show(shown.url)) == seen(shown)
 
 
@@ -496,7 +496,7 @@ def test_tree_that_changed_is_shown_as_it_was(visits):
 
 
 def test_actions_that_are_done_at_the_same_time_have_a_lane_each(visits):
-    action = {"kind": "action", "functions": [], "constraints": []}
+    action = {"kind": "action", "requires": [], "constraints": []}
     rows = [
         [0.0, "element", key, {**action, "name": name}]
         for key, name in enumerate(("drive", "film"))

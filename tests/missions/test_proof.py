@@ -18,7 +18,8 @@ from missions import cli
 from missions.baselines import open_run
 from missions.engine.mission import Condition, MissionError, find_mission
 from missions.proof import Leaf, verify
-from missions.proof.verification import prove, setup_of
+from missions.proof.setup import setup_of
+from missions.proof.verification import prove
 from rosa_bt import IsActionFeasible, Measurement, UntilSuccess, do_until_unfeasible, first_feasible
 
 ENDS = "the mission ends with its goal only"
@@ -50,7 +51,7 @@ def broken(proof):
 
 @pytest.mark.parametrize("case", MUTANTS, ids=lambda case: case.name)
 def test_seeded_bug_is_found_with_its_story(case):
-    proof = verify(case.build, case.model, **case.arguments)
+    proof = verify(case.tree, case.model, **case.arguments)
     finding = next(each for each in proof.broken if case.broken in each.name)
     assert finding.what
     assert finding.trail is None or proof.story(finding.trail) == proof.story(finding.trail)
@@ -58,8 +59,8 @@ def test_seeded_bug_is_found_with_its_story(case):
 
 @pytest.mark.parametrize("case", CORRECT, ids=lambda case: case.name)
 def test_correct_mission_is_silent(case):
-    proof = verify(case.build, case.model, **case.arguments)
-    assert proof.explored.is_finished
+    proof = verify(case.tree, case.model, **case.arguments)
+    assert not proof.explored.unexplored
     assert not proof.broken, proof
 
 
@@ -100,10 +101,11 @@ def test_timeouts_of_py_trees_are_free_answers():
         return Timeout("in time", Sequence("steps", memory=True, children=steps), 10.0)
 
     proof = verify(tree, drone())
-    assert proof.explored.is_finished
+    assert not proof.explored.unexplored
     assert len(proof.explored.situations) <= 31
     assert not proof.broken, proof
-    answers = [each.step.answers for rounds in proof.explored.rounds for each in rounds]
+    rounds = [each for situation in proof.explored.situations for each in situation.rounds]
+    answers = [each.step.answers for each in rounds]
     assert any(("in time", "S") in each for each in answers)
 
 
@@ -181,21 +183,21 @@ ALONE = {  # no second failure, and time enough
 }
 
 
-def succeeds(mission, name, value):
+def succeeds(mission, fact):
     """Run a mission while one fact stays bad from the beginning, whatever is published."""
     run = open_run(mission, seed=1, settings=ALONE[mission.name])
-    is_part = value is True
+    is_part = fact.kind == "component"
     bad = {
         "name": "test",
         "message": "component status" if is_part else "qa status",
-        "values": {name: "FALSE" if is_part else value},
+        "values": {fact.name: "FALSE" if is_part else fact.value},
     }
 
     def alter(messages, now):
         for message in messages:
             for status in message["status"]:
                 status["values"] = {
-                    key: each for key, each in status["values"].items() if key != name
+                    key: each for key, each in status["values"].items() if key != fact.name
                 }
         return [*messages, {"time": now, "status": [bad]}]
 
@@ -211,14 +213,13 @@ def test_table_of_single_failures_agrees_with_runs(name):
     mission = find_mission(name)
     proof = prove(setup_of(mission, seconds=inf))
     assert not proof.broken, proof
-    environment = proof.explored.rig.environment
-    facts = [*((group[0], True) for group in environment.alike), *environment.worst.items()]
     promised = {}
     happened = {}
-    for (fact, value), consequence in zip(facts, proof.consequences, strict=True):
+    bad = proof.explored.rig.environment.bad
+    for fact, consequence in zip(bad, proof.consequences, strict=True):
         if "as long as" not in consequence.reaches:  # whether the battery lasts, a run shows
             promised[fact] = consequence.reaches == "the goal"
-            happened[fact] = succeeds(mission, fact, value)
+            happened[fact] = succeeds(mission, fact)
     assert promised == happened
     assert {*promised.values()} == {True, False}
 
@@ -242,7 +243,7 @@ def test_verify_command_prints_findings_and_table(tmp_path):
 
 def test_tree_that_plans_by_itself_is_finished():
     proof = prove(setup_of(find_mission("agv"), seconds=inf))
-    assert proof.explored.is_finished
+    assert not proof.explored.unexplored
     assert not proof.broken, proof
     reaches = {each.fact: each.reaches for each in proof.consequences}
     assert reaches["amcl fails"] == "the goal"
@@ -250,7 +251,7 @@ def test_tree_that_plans_by_itself_is_finished():
 
 
 def test_verify_command_exits_by_what_was_found(tmp_path, monkeypatch):
-    assert rosa("suave", "--most", "5").exit_code == 3
+    assert rosa("suave", "--seconds", "0").exit_code == 3
     (tmp_path / "careless.py").write_text(
         "from dataclasses import replace\n"
         "from missions.suave import MISSION as SUAVE\n"

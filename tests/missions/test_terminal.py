@@ -11,7 +11,7 @@ from missions import cli
 from missions.baselines import open_run
 from missions.engine.mission import find_mission
 from missions.views.recorder import RunRecorder
-from missions.views.terminal import Fold, TerminalView
+from missions.views.terminal import TerminalView
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +23,11 @@ def recorder():
     return page.recorder
 
 
-def shown(recorder):
-    """Return what the panes show at the end of the run, and the line at the top."""
+def shown(recorder, words=""):
+    """Return what the panes show at the end of the run, and the line at the top.
+
+    Of the log, only what has the words.
+    """
 
     async def look():
         app = TerminalView(recorder)
@@ -36,6 +39,8 @@ def shown(recorder):
                     assert time.monotonic() < end, app.sub_title
                     await pilot.pause(0.05)
 
+            app.query_one("Input").value = words
+            app.look()
             await until(
                 lambda: (
                     "inspect_pipeline -> recharge"
@@ -62,19 +67,9 @@ def test_tree_statuses_adaptations_and_measurements_are_shown(recorder):
     assert panes["adaptations"].index("recharge") < panes["adaptations"].index("12.6"), (
         "the latest first"
     )
-    assert "water_visibility" in panes["measurements"]
-    assert "█" in panes["measurements"]
+    assert "water_visibility 3." in panes["known"]
     assert "aborted: " in title
     assert right <= 80
-
-
-def test_what_is_watched_for_days_is_forgotten_from_the_oldest_on():
-    fold = Fold()
-    for number in range(1000):
-        fold.put(
-            (float(number), "adaptation", number, {"t": float(number), "changed": "", "cause": ""})
-        )
-    assert list(fold.track("adaptation")) == list(range(600, 1000))
 
 
 def test_program_that_is_to_end_does_not_wait_for_the_run_that_it_shows(monkeypatch):
@@ -89,11 +84,8 @@ def test_program_that_is_to_end_does_not_wait_for_the_run_that_it_shows(monkeypa
 
 
 def test_log_shows_what_happened_and_only_what_is_filtered(recorder):
-    fold = Fold()
-    for row in recorder.rows.since(0)[1]:
-        fold.put(row)
-    everything = [str(line) for line in fold.log("")]
-    errors = [str(line) for line in fold.log("error thruster")]
+    everything = shown(recorder)[0]["log"].splitlines()
+    errors = shown(recorder, "error thruster")[0]["log"].splitlines()
     assert any("recharge is requested" in line for line in everything)
     assert 0 < len(errors) < len(everything)
     assert all("thruster" in line for line in errors)

@@ -142,8 +142,9 @@ def test_timed_behaviour_that_is_written_and_read_does_the_same(case):
     registry.register("child", lambda name: make_child())
 
     def make_child():
-        leaves = [node for node in make().iterate() if isinstance(node, StatusQueue)]
-        return leaves[0]
+        leaf = next(node for node in make().iterate() if isinstance(node, StatusQueue))
+        leaf.parent = None
+        return leaf
 
     tree = load_xml(export_xml(make(), registry), registry)
     assert run(tree, Clock(), 5.0) == expected

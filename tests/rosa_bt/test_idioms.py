@@ -152,19 +152,6 @@ def test_waiting_action_starts_when_the_robot_is_configured(kb, make):
     assert history(kb) == [("inspect", "abandoned")]
 
 
-def test_action_that_waits_too_long_fails_with_the_reason(kb, clock):
-    task = Act(kb, "inspect", wait=True, timeout=2.0)
-    task.tick_once()
-    clock.now = 1.9
-    task.tick_once()
-    assert task.status is Status.RUNNING
-    clock.now = 2.0
-    task.tick_once()
-    assert task.status is Status.FAILURE
-    assert task.feedback_message.startswith("not ready within 2 s: inspect is unsolved because")
-    assert (task.begun, history(kb)) == (0, [("inspect", "failed")])
-
-
 @pytest.mark.parametrize(("memory", "expected"), [(False, "search"), (True, "charge")])
 def test_first_feasible_action_is_done(kb, memory, expected):
     root = first_feasible("best", [Act(kb, "search"), Act(kb, "charge")], memory=memory)

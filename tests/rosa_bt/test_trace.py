@@ -90,10 +90,9 @@ def test_replay_decides_the_same_and_a_file_holds_the_same(tmp_path_factory, tol
     trace = run(told, path)
     assert len(trace.ticks) == len(told)
     if told:
-        assert path.read_text() == str(trace)
         assert read_trace(path) == trace
         assert replay_trace(read_trace(path), rover(), tree) == trace
-    assert str(run(told)) == str(trace), "the same run gives the same trace"
+    assert run(told) == trace, "the same run gives the same trace"
 
 
 def test_tick_has_what_was_ticked_told_and_decided():

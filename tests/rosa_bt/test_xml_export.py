@@ -207,12 +207,12 @@ IDIOMS = {
         "<UntilSuccess",
     ),
     "under an action": (
-        lambda kb: ForAction("for", kb, "scan", Turn("turn"), preference="for_scan", timeout=3),
-        'preference="for_scan" timeout="3"',
+        lambda kb: ForAction("for", kb, "scan", Turn("turn"), preference="for_scan", wait=True),
+        'preference="for_scan" wait="true"',
     ),
     "waiting": (
-        lambda kb: work(kb, preference="for_scan", wait=True, timeout=2.5),
-        '<Work name="scan" action="scan" preference="for_scan" wait="true" timeout="2.5" />',
+        lambda kb: work(kb, preference="for_scan", wait=True),
+        '<Work name="scan" action="scan" preference="for_scan" wait="true" />',
     ),
 }
 

@@ -32,7 +32,7 @@ export function Adaptations() {
 function Step({ number, t, what, words, elements }) {
   const go = () => {
     seek(t);
-    if (elements.length) selected.value = String(elements[0]);
+    if (elements.length) [selected.value] = elements;
   };
   return (
     <li class={t > time.value ? "later" : ""}>

@@ -55,7 +55,7 @@ function Results() {
             {Object.entries(run.value.header.settings).map(([name, text]) => <Row key={name} title={name}>{text}</Row>)}
           </tbody>
         </table>
-        {run.value.last("problem").map(([key, words]) => <p key={key} class="bad">{words}</p>)}
+        {run.value.last("problem").map(([key, { words: text }]) => <p key={key} class="bad">{text}</p>)}
       </div>
     </details>
   );

@@ -71,7 +71,7 @@ export const drawing = computed(() => {
 /** Choose a node, and the element that it is about. */
 export function pick(node) {
   selectedNode.value = node.uid;
-  if (node.elements.length) selected.value = String(node.elements[0]);
+  if (node.elements.length) [selected.value] = node.elements;
 }
 
 export function toggle(node, open = !isOpen(node)) {
@@ -87,8 +87,7 @@ export function toggleAll(open) {
 
 /** The first node that the chosen chain is about; what hides it is opened. */
 export function firstOfChain() {
-  const wanted = chain.value.flatMap((step) => step.nodes)[0];
-  const node = nodes.value.find(({ uid }) => uid === wanted);
+  const [node] = chain.value.flatMap((step) => nodes.value.filter((one) => one.elements.some((each) => step.elements.includes(each))));
   const hiding = new Set(lineage(node?.above).map(({ uid }) => uid));
   if ([...hiding].some((uid) => collapsed.value.has(uid))) {
     collapsed.value = new Set([...collapsed.value].filter((uid) => !hiding.has(uid)));

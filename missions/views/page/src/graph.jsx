@@ -42,7 +42,7 @@ function drawBox(context, { node, x, y }, isWorded) {
     context.fillText(sign, x + BOX.width - 16, y + 16);
   }
   context.globalAlpha = 1;
-  const steps = stepsOf("nodes", node.uid);
+  const steps = stepsOf(node.elements);
   if (!steps.length) return;
   context.fillStyle = colour("--chain");
   const wide = 9 * steps.length + 8;
@@ -86,7 +86,7 @@ export function Graph() {
 
   useEffect(() => size.subscribe(([wide]) => wide && fit(READABLE)), []);
   useEffect(() => {
-    const wanted = chosen.value !== null && drawing.value.places.find(({ node }) => stepsOf("nodes", node.uid).length);
+    const wanted = chosen.value !== null && drawing.value.places.find(({ node }) => stepsOf(node.elements).length);
     if (wanted) view.value = { scale: 1, x: size.value[0] / 2 - wanted.x - BOX.width / 2, y: size.value[1] / 2 - wanted.y };
   }, [chosen.value]);
 

@@ -18,9 +18,9 @@ function Part({ of }) {
   );
 }
 
-function Item({ of, element: { designs = [], configurations = [] } }) {
-  const parts = [...designs, ...configurations];
-  const open = [of, ...parts].map(String).filter((one) => one === selected.value);
+function Item({ of, element: { kind, requires } }) {
+  const parts = kind === "action" ? [] : requires;
+  const open = [of, ...parts].filter((one) => one === selected.value);
   const isRequired = useAt("required", of);
   const isActive = useAt("active", of);
   return (
@@ -52,11 +52,11 @@ const Choice = ({ chosen: part, reason, alternatives }) => (
 );
 
 function Details({ of }) {
-  const { kind, name, constraints = [], ...element } = run.value.element(of);
+  const { kind, name, constraints, requires, ...element } = run.value.element(of);
   const [why, help, choice, inForce] = ["why", "help", "choice", "parameters"].map((track) => at(track, of));
   const since = run.value.of("status", of).since(time.value);
   const parameters = Object.entries(inForce ?? element.parameters ?? {});
-  const needs = element.functions ?? element.components ?? [];
+  const needs = ["action", "function design"].includes(kind) ? requires : [];
   return (
     <dl class="details" aria-label={`${kind} ${name}`}>
       <Fact title={kind}><Standing of={of} /> {since !== undefined && <small>since {clock(since)}</small>}</Fact>

@@ -11,26 +11,12 @@ const LEVELS = ["info", "warning", "error"];
 const MOST = 300; // entries that are made around the instant shown
 const [words, least, isOfElement, condition] = [signal(""), signal("info"), signal(false), signal("")];
 const isLive = () => connection.value !== "none" && may.value.includes("break");
-const planned = ({ outcome, engine, steps, reason, message }) =>
-  `planner (${engine}): ${outcome}; ${steps.join(", ") || message || reason}`;
-
-/** Each track that the log shows: the time, level and text of an entry, and its elements. */
-const TRACKS = {
-  event: (one, t) => [t, one.level ?? "info", one.words, (one.changes ?? []).map(([, name]) => name)],
-  taskplan: (one) => [one.asked, one.solved ? "info" : "warning", planned(one), []],
-  adaptation: (one) => [one.t, "info", `${one.kind} adaptation: ${one.changed}; why: ${one.decided}`, []],
-  disturbance: (one) => [one.t, "warning", one.words, []],
-  problem: (one, t) => [t, "error", one, []],
-  result: (one, t) => [t, one.success ? "info" : "error", `${one.outcome}: ${one.reason}`, []],
-};
+const TRACKS = ["event", "taskplan", "adaptation", "disturbance", "problem", "result"];
 
 const all = computed(() => {
   revision.value;
-  const entries = Object.entries(TRACKS).flatMap(([track, read]) => run.value.keys(track).map((key) => {
-    const { times, last } = run.value.of(track, key);
-    const [t, level, text, about] = read(last, times[0]);
-    return { id: `${track}${key}`, t, level, text, about, what: track === "event" ? last.verb.replaceAll("_", " ") : track };
-  }));
+  const entries = TRACKS.flatMap((track) => run.value.last(track).map(([key, { t, level, words: text, verb, changes = [] }]) =>
+    ({ id: `${track}${key}`, t, level, text, about: changes.map(([, name]) => name), what: verb?.replaceAll("_", " ") ?? track })));
   return entries.sort((a, b) => a.t - b.t);
 });
 

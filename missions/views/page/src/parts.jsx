@@ -63,10 +63,9 @@ export function Panel({ id, title, aside, children }) {
   );
 }
 
-/** The numbers of the steps of the chosen chain that are about an element, or a node of the tree. */
-export function Badges({ list = "elements", one }) {
-  return stepsOf(list, one).map((step) => <span class="badge" key={step}><span class="unseen">step </span>{step}</span>);
-}
+/** The numbers of the steps of the chosen chain that are about some elements. */
+export const Badges = ({ of }) =>
+  stepsOf(of).map((step) => <span class="badge" key={step}><span class="unseen">step </span>{step}</span>);
 
 /** The steps of the chosen chain put together by where they are drawn, as [place, first step, "3–6"]; no place, no mark. */
 export function stepsBy(placeOf) {
@@ -86,8 +85,8 @@ export const Search = ({ of, words }) => (
 
 /** The name of an element; pressing it chooses the element wherever it is shown. */
 export const Name = ({ of }) => (
-  <button class="plain name" aria-pressed={selected.value === String(of)} onClick={() => select(of)}>
-    {run.value.name(of)}<Badges one={of} />
+  <button class="plain name" aria-pressed={selected.value === of} onClick={() => select(of)}>
+    {run.value.name(of)}<Badges of={[of]} />
   </button>
 );
 

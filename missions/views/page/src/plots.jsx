@@ -92,7 +92,7 @@ function Canvas({ label, track, stale, limits }) {
 function grouped(thresholds) {
   const groups = new Map();
   for (const key of thresholds) {
-    const { operator, value, dwell, hysteresis, on } = run.value.element(key) ?? {};
+    const { operator, value, dwell, hysteresis, used_by: on } = run.value.element(key) ?? {};
     if (!operator) continue;
     const id = [operator, value, dwell, hysteresis].join(" ");
     const group = groups.get(id) ?? { id, operator, value, dwell, hysteresis, keys: [], on: [] };
@@ -121,20 +121,20 @@ function Read({ of, track }) {
   return <small class="reads">{figure(run.value.of(track, of).at(hovered.value))} at {clock(hovered.value)}</small>;
 }
 
-export function AttributePlot({ of, element: { name, unit, max_age, thresholds } }) {
-  const limits = thresholds.map((one) => run.value.element(one)?.value).filter(Number.isFinite);
+export function AttributePlot({ of, element: { name, unit, max_age, constraints } }) {
+  const limits = constraints.map((one) => run.value.element(one)?.value).filter(Number.isFinite);
   const words = withUnit(figure(useAt("value", of), limits), unit);
   const isStale = useAt("stale", of);
   const track = () => run.value.of("value", of);
   const stale = () => run.peek().of("stale", of).spans(end.peek());
   return (
-    <div class={`measured ${stepsOf("elements", of).length ? "in-chain" : ""}`}>
+    <div class={`measured ${stepsOf([of]).length ? "in-chain" : ""}`}>
       <p>
         <Name of={of} /> <b>{words}</b> {isStale ? <span class="tag bad">stale</span> : null}
         {max_age !== null && <small>stale after {figure(max_age)} s</small>}
         <Read of={of} track="value" />
       </p>
-      <ul>{grouped(thresholds).map((one) => <Threshold key={one.id} {...one} />)}</ul>
+      <ul>{grouped(constraints).map((one) => <Threshold key={one.id} {...one} />)}</ul>
       <Canvas label={`${name} over time, ${words} now`} track={track} stale={stale} limits={limits} />
     </div>
   );

@@ -2,7 +2,7 @@
 import { Track } from "./track.js";
 
 const EMPTY = new Track();
-const NUMBERED = new Set(["event", "action", "plan", "taskplan", "adaptation", "whatif", "disturbance", "problem"]);
+const NUMBERED = new Set(["event", "action", "plan", "taskplan", "adaptation", "disturbance", "problem"]);
 
 export class Run {
   #tracks = new Map();
@@ -64,11 +64,11 @@ export class Run {
   }
 
   /** What is known of an element, whenever. */
-  element(index) {
-    return this.of("element", index).values.findLast((value) => value !== null);
+  element(key) {
+    return this.of("element", key).values.findLast((value) => value !== null);
   }
 
-  name(index) {
-    return this.element(index)?.name ?? String(index);
+  name(key) {
+    return this.element(key)?.name ?? key;
   }
 }

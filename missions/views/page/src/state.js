@@ -7,7 +7,7 @@ export const revision = signal(0); // counts what was added to the run
 export const time = signal(0); // the instant shown [s]
 export const isFollowing = signal(false); // whether the instant is that of a mission that still runs
 export const chosen = signal(null); // key of the adaptation
-export const selected = signal(null); // index of the element
+export const selected = signal(null); // key of the element
 export const start = computed(() => (revision.value, run.value?.start ?? 0));
 export const end = computed(() => (revision.value, Math.max(run.value?.end ?? 0, start.value + 0.001)));
 
@@ -52,11 +52,9 @@ export const adaptations = computed(() => {
 export const adaptation = computed(() => adaptations.value.find(([key]) => key === chosen.value)?.[1]);
 export const chain = computed(() => adaptation.value?.chain ?? []);
 
-/** The places in the chosen chain (from 1) of the steps that are about an element, or a node of the tree. */
-export function stepsOf(list, one) {
-  const isAbout = (step) => step[list].some((each) => String(each) === String(one));
-  return chain.value.flatMap((step, index) => (isAbout(step) ? [index + 1] : []));
-}
+/** The places in the chosen chain (from 1) of the steps that are about any of some elements. */
+export const stepsOf = (elements) =>
+  chain.value.flatMap((step, index) => (step.elements.some((one) => elements.includes(one)) ? [index + 1] : []));
 
 /** When there came to be the elements that there are at the instant shown. */
 const amendment = computed(() => {
@@ -64,7 +62,7 @@ const amendment = computed(() => {
   return times[Math.max(countUntil(times, time.value), 1) - 1];
 });
 
-/** What there is at the instant shown, as [index, element]. */
+/** What there is at the instant shown, as [key, element]. */
 export const elements = computed(() => {
   const now = (key) => [key, run.value.of("element", key).at(amendment.value)];
   return run.value.keys("element").map(now).filter(([, one]) => one);
@@ -106,4 +104,4 @@ export function step(direction) {
   seek(times[place] ?? (direction > 0 ? end.value : start.value));
 }
 
-export const select = (index) => (selected.value = String(index) === selected.value ? null : String(index));
+export const select = (key) => (selected.value = key === selected.value ? null : key);

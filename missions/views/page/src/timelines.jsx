@@ -24,8 +24,7 @@ function lanes() {
   const known = one.last("element").map(([key]) => [key, one.element(key)]);
   const held = (track, key, text) =>
     one.of(track, key).spans(one.end).filter(([, , value]) => value).map(([from, until]) => bar(one, from, until, text));
-  const chosenFor = ([, { name, designs, configurations }]) =>
-    [name, (designs ?? configurations ?? []).flatMap((each) => held("selected", each, one.name(each)))];
+  const chosenFor = ([, { name, requires }]) => [name, requires.flatMap((each) => held("selected", each, one.name(each)))];
   const done = last("action").map(({ action, start: from, end: until, result }) =>
     bar(one, from, until, one.name(action), result ?? "", hueOf(names, one.name(action))));
   const isParallel = done.some(({ from }, index) => from < done[index - 1]?.until);
@@ -37,8 +36,8 @@ function lanes() {
     ...switched.map(([key, { name }]) => [`${name} runs`, held("active", key, "")]),
     ["reconfiguration plans", last("plan").map(({ words, start: from, end: until, result }) =>
       bar(one, from, until, "", `${words}: ${result ?? "under way"}`))],
-    ["planner calls", last("taskplan").map(({ asked, solved, outcome, engine, steps, message, reason }) =>
-      bar(one, asked, asked, "", `${outcome} (${engine}): ${steps.join(", ") || message || reason}`, solved ? undefined : "var(--bad)"))],
+    ["planner calls", last("taskplan").map(({ t, level, words }) =>
+      bar(one, t, t, "", words, level === "info" ? undefined : "var(--bad)"))],
   ];
   return all.filter(([, bars]) => bars.length);
 }

@@ -26,7 +26,7 @@ function Row({ node, index, of }) {
       <Mark status={status} quiet />
       <span class="kind" title={`${kind}: ${type}`} aria-label={kind} role="img">{KINDS[kind] ?? "•"}</span>
       <span class="label">{name}</span>
-      <Badges list="nodes" one={uid} />
+      <Badges of={elements} />
       {elements.slice(0, 1).map((element) => <Standing key={element} of={element} quiet />)}
       <span class="feedback">{feedback}</span>
     </div>
@@ -98,7 +98,7 @@ function Plan() {
   const doing = nodes.value.filter(({ kind }) => kind === "plan").map(({ uid }) => stateOf(uid)[1]).join();
   return plan && (
     <details class="chosen" open>
-      <summary>Plan of {clock(plan.asked)}: {plan.outcome} <small>{plan.reason}</small></summary>
+      <summary>Plan of {clock(plan.t)}: {plan.outcome} <small>{plan.reason}</small></summary>
       <ol>{plan.steps.map((step) => <li key={step} aria-current={doing.includes(step) && "step"}><code>{step}</code></li>)}</ol>
     </details>
   );

@@ -5,22 +5,15 @@ import { useEffect } from "preact/hooks";
 import { clock, extent, figure, withUnit } from "./format.js";
 import { answer, ask, connection } from "./live.js";
 import { Mark, Panel } from "./parts.jsx";
-import { at, elements, revision, run, time } from "./state.js";
+import { at, elements, revision, run, time, useAt } from "./state.js";
 
 const STEPS = 200; // of a slider
-const OWN = new Set(["action", "function", "component", "function design", "configuration"]); // whose statuses are told
 const moved = signal({}); // values by attribute
 const turned = signal({}); // "failed" or "recovered" by component; in a report, one thing at a time
 const isLive = () => connection.value !== "none";
 const nameOf = (element) => (element === null ? "nothing" : run.value.name(element));
-const limitsOf = ({ thresholds }) => thresholds.map((one) => run.value.element(one).value);
+const limitsOf = ({ constraints }) => constraints.map((one) => run.value.element(one).value);
 const reset = () => (moved.value = turned.value = {});
-
-/** The cases that were stored at the latest instant up to the one shown. */
-function stored() {
-  const until = run.value.last("whatif").map(([, one]) => one).filter(({ t, cases }) => t <= time.value && cases.length);
-  return until.reduce((latest, one) => (latest && latest.t > one.t ? latest : one), null);
-}
 
 /** From where to where a measurement may be moved: over what it ever was, and its thresholds, and a fifth more. */
 function rangeOf(key, element) {
@@ -66,7 +59,7 @@ function interval({ low, high }) {
 function Outcome({ feasible, status, chosen }) {
   const chosenNow = (key) => at("choice", key)?.chosen ?? null;
   const switched = Object.entries(chosen).filter(([key, part]) => chosenNow(key) !== part);
-  const others = Object.entries(status).filter(([key]) => OWN.has(run.value.element(key)?.kind));
+  const others = Object.entries(status);
   return (
     <dl class="details" aria-live="polite">
       <dt>feasible then</dt>
@@ -82,19 +75,20 @@ function Outcome({ feasible, status, chosen }) {
 }
 
 function Stored() {
-  const latest = stored();
-  if (!latest) return <p class="muted">No cases are stored up to this instant.</p>;
+  const latest = useAt("whatif", 0);
+  const since = run.value.of("whatif").since(time.value);
+  if (!latest?.length) return <p class="muted">No cases are stored up to this instant.</p>;
   const [[key, value] = []] = Object.entries(moved.value);
   const [component] = Object.keys(turned.value);
-  const fits = ({ attribute, low, high }) => String(attribute) === key && (low ?? -Infinity) <= value && value < (high ?? Infinity);
-  const fitting = latest.cases.find((one) => (component ? String(one.component) === component : fits(one)));
-  const of = (field) => [...new Set(latest.cases.map((one) => one[field]).filter((one) => one !== undefined))];
-  const told = (attribute) => latest.cases.filter((one) => one.attribute === attribute).map(interval).join(" · ");
+  const fits = ({ attribute, low, high }) => attribute === key && (low ?? -Infinity) <= value && value < (high ?? Infinity);
+  const fitting = latest.find((one) => (component ? one.component === component : fits(one)));
+  const of = (field) => [...new Set(latest.map((one) => one[field]).filter((one) => one !== undefined))];
+  const told = (attribute) => latest.filter((one) => one.attribute === attribute).map(interval).join(" · ");
   return (
     <>
       {of("attribute").map((one) => <Measurement key={one} of={one} element={run.value.element(one)} hint={told(one)} />)}
       <div class="tools">
-        {latest.cases.filter(({ verb }) => verb).map((one) => <Component key={one.component} of={String(one.component)} verb={one.verb} />)}
+        {latest.filter(({ verb }) => verb).map((one) => <Component key={one.component} of={one.component} verb={one.verb} />)}
       </div>
       {fitting && (
         <p>
@@ -103,7 +97,7 @@ function Stored() {
         </p>
       )}
       {fitting && <Outcome {...fitting} />}
-      <p class="muted">Cases stored at {clock(latest.t)}: one thing is different, the rest is as it was then.</p>
+      <p class="muted">Cases stored at {clock(since)}: one thing is different, the rest is as it was then.</p>
     </>
   );
 }
