@@ -98,8 +98,7 @@ def run(
         opened.faults.add(*faults)
         if speed is None:
             speed = 1.0 if realtime or is_shown else 0.0
-        steering = Steering(speed)
-        steering.begin(opened)
+        steering = Steering(opened, speed)
         progress = progress and not tui
         narrator = Narrator(console, opened.settings.duration_s)
         if progress:
@@ -114,7 +113,7 @@ def run(
             page = RunRecorder(opened, seed, changed, keep, what_if=report is not None)
             if is_shown:
                 steering.breakpoints.watch(page.recorder.rows)
-                steering.stop_at(*stop_at or ())
+                steering.breakpoints.set(stop_at or ())
             else:
                 watch_breakpoints(opened, page.recorder.rows, stop_at or ())
         opened.listen(steering)

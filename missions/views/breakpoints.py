@@ -90,39 +90,46 @@ class Breakpoint:
 
 
 class Breakpoints:
-    """Watches the rows of a page for breakpoints, and calls a function for each that is met."""
+    """Watches the rows of a run for breakpoints, and calls a function for each that is met."""
 
-    def __init__(self, met: Callable[[Breakpoint, float], object]) -> None:
-        self.all: list[Breakpoint] = []
+    def __init__(self, run: MissionRun, met: Callable[[Breakpoint, float], object]) -> None:
+        self._run = run
         self._met = met
+        self._all: list[Breakpoint] = []
         self._names: dict[int | str, str] = {}  # of elements and behaviours
+
+    @property
+    def texts(self) -> list[str]:
+        return [breakpoint.text for breakpoint in self._all]
+
+    def set(self, texts: Iterable[str]) -> None:
+        """Replace the breakpoints.
+
+        Raises:
+            MissionError, UnknownName: one has no meaning, or nothing has its name.
+        """
+        tree = self._run.tree
+        behaviours = [] if tree is None else [node.name for node in tree.root.iterate()]
+        breakpoints = [Breakpoint(text) for text in texts]
+        for breakpoint in breakpoints:
+            breakpoint.check(self._run.model, behaviours)
+        self._all = breakpoints
 
     def watch(self, rows: Rows) -> None:
         """Hear the rows from now on; what holds already meets no breakpoint."""
-        if self.hear not in rows.listeners:
-            for row in rows.snapshot()[0]:
-                self.hear(row)
-            rows.listeners.append(self.hear)
+        for row in rows.snapshot()[0]:
+            self._hear(row)
+        rows.listeners.append(self._hear)
 
-    def hear(self, row: Row) -> None:
-        """Take in a row: (time, track, key, value)."""
+    def _hear(self, row: Row) -> None:
         time, track, key, value = row
         if track == "element" and value is not None:
             self._names[key] = value["name"]
         elif track == "tree":
             self._names |= {uid: name for uid, _, _, name, _, _ in value["nodes"]}
-        for breakpoint in self.all:
+        for breakpoint in self._all:
             if breakpoint.is_met(track, key, self._names.get(key, ""), value):
                 self._met(breakpoint, time)
-
-
-def read_breakpoints(run: MissionRun, texts: Iterable[str]) -> list[Breakpoint]:
-    """Return breakpoints of a run; an error says if one has no meaning, or nothing has its name."""
-    behaviours = [] if run.tree is None else [node.name for node in run.tree.root.iterate()]
-    breakpoints = [Breakpoint(text) for text in texts]
-    for breakpoint in breakpoints:
-        breakpoint.check(run.model, behaviours)
-    return breakpoints
 
 
 def watch_breakpoints(run: MissionRun, rows: Rows, texts: Iterable[str]) -> None:
@@ -135,6 +142,6 @@ def watch_breakpoints(run: MissionRun, rows: Rows, texts: Iterable[str]) -> None
         words = f"stopped at breakpoint {breakpoint.text!r} after {time_s:.1f} s"
         run.early_verdict = Verdict("aborted", words, explained)
 
-    breakpoints = Breakpoints(end)
-    breakpoints.all = read_breakpoints(run, texts)
+    breakpoints = Breakpoints(run, end)
     breakpoints.watch(rows)
+    breakpoints.set(texts)

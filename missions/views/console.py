@@ -1,6 +1,5 @@
 """Prints a run on the console: what happens, as it happens, and the result."""
 
-import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
@@ -90,23 +89,20 @@ class Narrator(Listener):
 
 
 class CampaignProgress:
-    """Shows the progress of a campaign, its rate and the time left, and each run that crashes.
+    """Shows the progress of a campaign, the time left, and each run that crashes.
 
     The bar is shown while `progress` is open.
     """
 
     def __init__(self, console: Console) -> None:
         self.count = self.total = self.new = self.crashed = 0
-        rate = TextColumn("{task.fields[rate]:.2f} a second,")
         left = TextColumn("left  {task.description}", markup=False)
-        columns = (BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn(), left)
+        columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), left)
         self._console = console
         self.progress = _progress(console, *columns)
-        self._started = time.perf_counter()
-        self._bar = self.progress.add_task("", total=None, rate=0.0)
+        self._bar = self.progress.add_task("", total=None)
 
     def begin(self, done: int, total: int) -> None:
-        self._started = time.perf_counter()
         self.count = done
         self.total = total
         self.progress.update(self._bar, completed=done, total=total)
@@ -119,19 +115,10 @@ class CampaignProgress:
         if record["outcome"] == "crashed":
             self.crashed += 1
             words = f"{record['run']} crashed: {record['error']}; repeat it: {record['rerun']}"
-            self._print("bold red", words)
-        rate = self.new / max(time.perf_counter() - self._started, 1e-9)
-        self.progress.update(self._bar, completed=self.count, rate=rate, description=record["run"])
+            self._console.print(words, style="bold red", markup=False)
+        self.progress.update(self._bar, completed=self.count, description=record["run"])
         if self.progress.disable and self.count * 10 // self.total > before:
-            left = (self.total - self.count) / rate
-            words = f"{self.count}/{self.total} runs, {rate:.2f} a second, {left:.0f} s left"
-            self._print("dim", words)
-
-    def note(self, text: str) -> None:
-        self._print("yellow", text)
-
-    def _print(self, style: str, text: str) -> None:
-        self._console.print(text, style=style, markup=False)
+            self._console.print(f"{self.count}/{self.total} runs", style="dim", markup=False)
 
 
 def print_result(

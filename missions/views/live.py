@@ -22,10 +22,10 @@ from urllib.parse import parse_qs, quote, urlsplit
 
 from kb import KnowledgeBase, KnowledgeBaseError
 from kb.elements import finite_number
-from missions.engine.faults import Fault
+from missions.engine.faults import read_fault
 from missions.engine.mission import MissionError, needs
 from missions.engine.runner import Listener, MissionRun
-from missions.views.breakpoints import Breakpoint, Breakpoints, read_breakpoints
+from missions.views.breakpoints import Breakpoint, Breakpoints
 from missions.views.facts import supposed
 from missions.views.recorder import Recorder
 from missions.views.report import Row, encoded, page_of
@@ -73,18 +73,19 @@ class Steering(Listener):
     """Paces and pauses a simulated run, stops it at breakpoints, and injects faults.
 
     Args:
+        run: which has not begun yet.
         speed: times real time; 0 for as fast as possible.
     """
 
-    def __init__(self, speed: float = 1.0) -> None:
-        self.breakpoints = Breakpoints(self._stop_at)
+    def __init__(self, run: MissionRun, speed: float = 1.0) -> None:
+        self.breakpoints = Breakpoints(run, self._stop_at)
+        self._run = run
         self._speed = _pace(speed)
         self._is_paused = False
         self._steps = 0
         self._stopped_at = ""
         self._change = Condition()
         self._start: tuple[float, float] | None = None
-        self._run: MissionRun | None = None
 
     @property
     def state(self) -> dict[str, Any]:
@@ -94,13 +95,9 @@ class Steering(Listener):
                 "paused": self._is_paused,
                 "stopped": self._stopped_at,
                 "speed": self._speed,
-                "held": dict(self._run.faults.values) if self._run else {},
-                "breaks": [each.text for each in self.breakpoints.all],
+                "held": dict(self._run.faults.values),
+                "breaks": self.breakpoints.texts,
             }
-
-    def begin(self, run: MissionRun) -> None:
-        """Steer a run, which has not begun yet."""
-        self._run = run
 
     def do(self, request: Mapping[str, Any]) -> None:
         """Do what a page requests: `request["do"]` is pause, resume, step, speed, break or inject.
@@ -123,38 +120,19 @@ class Steering(Listener):
                 self._speed = _pace(request.get("value"))
                 self._start = None
             elif what == "break":
-                texts = [str(text) for text in request.get("at", ())]
-                self.stop_at(*texts)
+                self.breakpoints.set(map(str, request["at"]))
             elif what == "inject":
-                self._inject(request)
+                self._run.faults.add(read_fault(f"{request['fault']}@0"))
             else:
                 known = "pause, resume, step, speed, break and inject"
                 raise MissionError(f"{what!r} is unknown; known are {known}")
             self._change.notify_all()
-
-    def stop_at(self, *texts: str) -> None:
-        """Replace the breakpoints; see `Breakpoint` for how one is written."""
-        self.breakpoints.all = read_breakpoints(self._open_run(), texts)
 
     def _stop_at(self, breakpoint: Breakpoint, time_s: float) -> None:
         with self._change:
             self._is_paused = True
             self._start = None
             self._stopped_at = f"{breakpoint.text} at {time_s:.1f} s"
-
-    def _inject(self, request: Mapping[str, Any]) -> None:
-        run = self._open_run()
-        faults = []
-        for name, value in dict(request.get("measure", {})).items():
-            faults.append(Fault("measure", name, value=finite_number(value)))
-        faults += [Fault("release", name) for name in request.get("release", ())]
-        faults += [Fault(verb, request[verb]) for verb in ("fail", "recover") if verb in request]
-        run.faults.add(*faults)
-
-    def _open_run(self) -> MissionRun:
-        if self._run is None:
-            raise MissionError("no run has begun yet")
-        return self._run
 
     def tick(self, run: MissionRun) -> None:
         with self._change:
@@ -223,9 +201,6 @@ class LiveView(AbstractContextManager["LiveView"]):
         self._place = f"http://{shown_host}:{port}/"
         self.url = f"{self._place}{query}"
         self.recorder = recorder or Recorder(kb, tree, **{"keep": KEEP, "what_if": False, **shown})
-        self.recorder.header["live"] = True
-        if steering is not None:
-            steering.breakpoints.watch(self.recorder.rows)
         document = {"run": None, "live": {"socket": f"/ws{query}"}, "note": ""}
         self._page = page_of(document, str(self.recorder.header["title"]))
         self._rows = self.recorder.rows
@@ -283,9 +258,7 @@ class LiveView(AbstractContextManager["LiveView"]):
     @property
     def _state(self) -> dict[str, Any]:
         state = {"over": self._is_closing, "pages": len(self._pages)}
-        if self._steering is None:
-            return {**state, "paused": False, "speed": 1.0}
-        return {**state, **self._steering.state}
+        return state if self._steering is None else state | self._steering.state
 
     @property
     def _now(self) -> float:

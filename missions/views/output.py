@@ -43,8 +43,6 @@ def files_tried(what: str, advice: str = "") -> Iterator[None]:
 class OutputFile:
     """A file that replaces the one of its name only when it is complete.
 
-    Its content is in memory until then.
-
     A device such as /dev/stdout is written directly.
 
     Raises:
@@ -53,7 +51,6 @@ class OutputFile:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._parts = list[bytes]()
         with files_tried(f"write {path}"):
             if path.is_dir():
                 raise IsADirectoryError("it is a directory; name a file in it")
@@ -64,18 +61,14 @@ class OutputFile:
                 with draft(path.resolve()):  # only to try it
                     pass
 
-    def write(self, content: str | bytes) -> None:
-        """Append text or bytes, which `finish` writes."""
-        self._parts.append(content.encode() if isinstance(content, str) else content)
-
-    def finish(self, content: str | bytes = b"") -> None:
-        """Append the last text or bytes, and write the complete file."""
-        self.write(content)
+    def finish(self, content: str | bytes) -> None:
+        """Write the complete file."""
+        data = content.encode() if isinstance(content, str) else content
         with files_tried(f"write {self._path}"):
             if self._direct:
-                self._path.write_bytes(b"".join(self._parts))
+                self._path.write_bytes(data)
             else:
-                write_file(self._path, b"".join(self._parts))
+                write_file(self._path, data)
 
 
 def open_files(paths: Mapping[str, Path | None]) -> dict[str, OutputFile]:

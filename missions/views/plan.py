@@ -136,106 +136,87 @@ def causal_links(
     return tuple(links)
 
 
-class _Box(NamedTuple):
-    """A step or the goal: upper left corner [px], lines of text, width and height [px]."""
-
-    x: float
-    y: float
-    lines: list[str]
-    width: float
-    height: float
-
-
 def svg_of(steps: Sequence[Step], links: Sequence[Link], title: str) -> str:
     """Draw a plan in layers, from top to bottom: each step is below all that it needs.
 
     An arrow has the facts that one step makes true for another.
     """
-    boxes: dict[int, _Box] = {}
-    top = 2 * _GAP
-    for layer in _layers(len(steps), links):
-        enter = {number: [link for link in links if link.target == number] for number in layer}
-        places = {number: _mean_x(boxes, enter[number]) for number in layer}
-        top += _LINE * max(map(len, enter.values()), default=0) + _GAP
-        x = _GAP
-        for number in sorted(layer, key=lambda number: (places[number], number)):
-            lines = _lines(steps, number)
-            width, height = _box_size(lines)
-            labels = [
-                _LETTER * len(" ".join(link.needs)) + _ENTRY * place
-                for place, link in enumerate(enter[number])
-            ]
-            boxes[number] = _Box(x, top, lines, max([width, *labels]), height)
-            x += boxes[number].width + _GAP
-        top += max(boxes[number].height for number in layer) + _ROW_GAP
-    widest = max(box.x + box.width for box in boxes.values())
-    width = max(widest + _GAP, 2 * _GAP + 1.1 * _LETTER * len(title))
-    height = top + _GAP
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}" {_FONT}>',
-        f"<title>{escape(title)}</title>",
-        _MARKER,
-        f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
-        f'<text x="{_GAP:g}" y="{_GAP:g}" font-weight="bold">{escape(title)}</text>',
+    texts = [
+        [f"{number}  {step.schema}", *wrap(", ".join(step.arguments), _LETTERS)]
+        for number, step in enumerate(steps, start=1)
     ]
-    for link in links:
-        parts += _arrow(boxes, links, link)
-    for number, box in sorted(boxes.items()):
-        parts += _box(box.x, box.y, box.lines, _GOAL if number == len(steps) else _STEP)
-    return "\n".join([*parts, "</svg>", ""])
+    texts.append(["goal"])
+    needs = [[link for link in links if link.target == number] for number in range(len(texts))]
+    width = 16 + _LETTER * max(len(line) * 1.1 for lines in texts for line in lines)
+    height = 10 + _LINE * max(map(len, texts))
+    label = max((len(" ".join(link.needs)) for link in links), default=0)
+    column = _GAP + max(width, _LETTER * label + _ENTRY * max(map(len, needs)))
+    places: dict[int, tuple[float, float]] = {}
+    y = 2 * _GAP
+    for layer in _layers(needs):
+        y += _GAP + _LINE * max(len(needs[number]) for number in layer)
+        layer.sort(key=lambda number: _mean_x(places, needs[number]))
+        for place, number in enumerate(layer):
+            places[number] = _GAP + place * column, y
+        y += height + _ROW_GAP
+    arrows: list[str] = []
+    boxes: list[str] = []
+    for number, (x, top) in sorted(places.items()):
+        style = _GOAL if number == len(steps) else _STEP
+        box = f'<rect x="{x:g}" y="{top:g}" width="{width:g}" height="{height:g}" rx="5" {style}/>'
+        boxes += [box, *_lines(x + 8, top + 17, texts[number])]
+        for place, link in enumerate(needs[number]):
+            source_x, source_y = places[link.source]
+            start = source_x + 8, source_y + height
+            arrows += _arrow(start, (x + 8 + _ENTRY * place, top), place, " ".join(link.needs))
+    right = max(max(x for x, _ in places.values()) + column, 1.1 * _LETTER * len(title)) + _GAP
+    size = f'width="{right:g}" height="{y + _GAP:g}"'
+    return "\n".join(
+        [
+            f'<svg xmlns="http://www.w3.org/2000/svg" {size} {_FONT}>',
+            f"<title>{escape(title)}</title>",
+            _MARKER,
+            f'<rect {size} fill="white"/>',
+            *_lines(_GAP, _GAP, [title]),
+            *arrows,
+            *boxes,
+            "</svg>\n",
+        ]
+    )
 
 
-def _layers(goal: int, links: Sequence[Link]) -> list[list[int]]:
+def _layers(needs: Sequence[Sequence[Link]]) -> list[list[int]]:
     """Return the steps of each layer, below all that they need; the goal is alone in the last."""
     depths: list[int] = []
-    for number in range(goal):
-        before = [depths[link.source] + 1 for link in links if link.target == number]
-        depths.append(max(before, default=0))
-    depths.append(max(depths, default=-1) + 1)
-    layers: list[list[int]] = [[] for _ in range(depths[-1] + 1)]
-    for number, depth in enumerate(depths):
-        layers[depth].append(number)
-    return layers
+    for links in needs[:-1]:
+        depths.append(max((depths[link.source] + 1 for link in links), default=0))
+    layers = [
+        [number for number, its_depth in enumerate(depths) if its_depth == depth]
+        for depth in range(max(depths, default=-1) + 1)
+    ]
+    return [*layers, [len(depths)]]
 
 
-def _mean_x(boxes: Mapping[int, _Box], links: Sequence[Link]) -> float:
+def _mean_x(places: Mapping[int, tuple[float, float]], links: Sequence[Link]) -> float:
     """Return where the needed steps stand on average [px], so that arrows are short."""
-    return sum(boxes[link.source].x for link in links) / max(len(links), 1)
+    return sum(places[link.source][0] for link in links) / max(len(links), 1)
 
 
-def _lines(steps: Sequence[Step], number: int) -> list[str]:
-    if number == len(steps):
-        return ["goal"]
-    step = steps[number]
-    return [f"{number + 1}  {step.schema}", *wrap(", ".join(step.arguments), _LETTERS)]
-
-
-def _arrow(boxes: Mapping[int, _Box], links: Sequence[Link], link: Link) -> Iterator[str]:
-    """Yield an arrow and the facts beside its end; arrows to a step end beside one another."""
-    source = boxes[link.source]
-    target = boxes[link.target]
-    place = [other for other in links if other.target == link.target].index(link)
-    left = source.x + 8
-    x = target.x + 8 + _ENTRY * place
-    start = source.y + source.height
-    turn = target.y - _LINE * (place + 1)
-    path = f"M{left:g} {start:g}C{left:g} {turn:g} {x:g} {start:g} {x:g} {turn:g}V{target.y:g}"
+def _arrow(
+    start: tuple[float, float], end: tuple[float, float], place: int, words: str
+) -> Iterator[str]:
+    """Yield an arrow and its words beside its end; arrows to a step end beside one another."""
+    left, top = start
+    x, y = end
+    turn = y - _LINE * (place + 1)
+    path = f"M{left:g} {top:g}C{left:g} {turn:g} {x:g} {top:g} {x:g} {turn:g}V{y:g}"
     yield f'<path d="{path}" fill="none" stroke="{_EDGE}" marker-end="url(#needs)"/>'
     halo = 'stroke="white" stroke-width="3" paint-order="stroke"'
-    words = escape(" ".join(link.needs))
-    yield f'<text x="{x + 5:g}" y="{turn + _LINE * 0.7:g}" {halo}>{words}</text>'
+    yield f'<text x="{x + 5:g}" y="{turn + _LINE * 0.7:g}" {halo}>{escape(words)}</text>'
 
 
-def _box_size(lines: Sequence[str]) -> tuple[float, float]:
-    """Return width and height of a box with lines of text [px]; the first line is bold."""
-    longest = max(len(line) * (1.1 if line is lines[0] else 1.0) for line in lines)
-    return 16 + _LETTER * longest, 10 + _LINE * len(lines)
-
-
-def _box(x: float, y: float, lines: Sequence[str], style: str) -> Iterator[str]:
-    """Yield the SVG elements of a box with lines of text; (x, y) is its upper left corner [px]."""
-    width, height = _box_size(lines)
-    yield f'<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" rx="5" {style}/>'
+def _lines(x: float, y: float, lines: Sequence[str]) -> Iterator[str]:
+    """Yield lines of text, of which the first is bold."""
     for number, line in enumerate(lines):
-        weight = 'font-weight="bold"' if number == 0 else 'fill="#444444"'
-        yield f'<text x="{x + 8:g}" y="{y + 17 + number * _LINE:g}" {weight}>{escape(line)}</text>'
+        weight = 'fill="#444444"' if number else 'font-weight="bold"'
+        yield f'<text x="{x:g}" y="{y + number * _LINE:g}" {weight}>{escape(line)}</text>'

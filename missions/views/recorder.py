@@ -93,10 +93,7 @@ class Recorder:
             )
         self.rows = Rows(keep)
         self.header: dict[str, Any] = {
-            "live": False,
             "title": title or kb.model.name,
-            "model": kb.model.name,
-            "mission": "",
             "words": "",
             "task": "",
             "manager": "ours",
@@ -438,7 +435,6 @@ class RunRecorder(Listener):
         signals = self._sample.signals if self._sample else ()
         header = {
             "title": run.mission.name,
-            "mission": run.mission.name,
             "words": run.mission.summary,
             "task": run.task,
             "manager": run.manager,

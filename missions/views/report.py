@@ -151,10 +151,6 @@ class Recorded:
     rows: list[Row] = field(repr=False)
     note: str = ""
 
-    @property
-    def title(self) -> str:
-        return str(self.header.get("title", ""))
-
     def track(self, name: str) -> Iterator[tuple[float, int | str, Any]]:
         return ((time, key, value) for time, track, key, value in self.rows if track == name)
 
@@ -199,7 +195,7 @@ def report(run: Recorded) -> str:
         "live": None,
         "note": run.note,
     }
-    return page_of(document, run.title)
+    return page_of(document, str(run.header["title"]))
 
 
 def write_report(path: str | Path, run: Recorded) -> None:

@@ -53,7 +53,9 @@ class SimulatedClock:
 
     def _hear(self, message: Message) -> None:
         time_s = _seconds(message["clock"])
-        self._offset_s += max(0.0, self.now_s - time_s)
+        if time_s < self.now_s:
+            _log.warning("/clock went back from %g s to %g s; time goes on", self.now_s, time_s)
+            self._offset_s += self.now_s - time_s
         self.now_s = time_s
         self.has_begun = True
 

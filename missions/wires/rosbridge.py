@@ -6,15 +6,14 @@ connection of its own, which is opened anew after an overdue call, and so is eac
 """
 
 import json
-import logging
 import math
 import time
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from socket import SHUT_RDWR
-from threading import Condition, Event, Thread
+from queue import SimpleQueue
+from threading import Event, Thread
 from typing import Any, Final
 from urllib.parse import urlsplit
 from uuid import uuid4
@@ -44,13 +43,12 @@ QUEUED: Final = 10_000
 _FLUSH_S: Final = 1.0
 """How long sending the queued messages may take when a connection is closed [s]."""
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 8.0
-_log = logging.getLogger(__name__)
 
 
 class Connection:
     """A WebSocket to a rosbridge, which can be opened again; messages wait in its queue meanwhile.
 
-    A full queue drops its oldest message, and a slow receiver holds up nobody: a thread writes.
+    A full queue takes no more, and a slow receiver holds up nobody: a thread writes.
 
     Args:
         link: returns the WebSocket, connected.
@@ -62,15 +60,11 @@ class Connection:
     ) -> None:
         self._link = link
         self._on_message = on_message
-        self._news = Condition()
-        self._socket: Any = None
-        self._is_closed = False
-        self.queue = deque[Message](maxlen=QUEUED)
+        self._queue = SimpleQueue[Any]()
 
     def send(self, message: Message) -> None:
-        with self._news:
-            self.queue.append(plain(message))
-            self._news.notify_all()
+        if self._queue.qsize() < QUEUED:
+            self._queue.put(plain(message))
 
     def start(self, on_end: Callable[[str], object]) -> None:
         """Run it in a thread of its own, and call a function with the reason when it has ended."""
@@ -84,48 +78,30 @@ class Connection:
         """
         try:
             with self._link() as socket:
-                self._socket = socket
-                if self._is_closed:  # while it was being opened
-                    return ""
                 on_open(socket)
-                Thread(target=self._write, args=[socket], name="ros-send", daemon=True).start()
-                for text in socket:
-                    self._on_message(text)
+                writer = Thread(target=self._write, args=[socket], name="ros-send", daemon=True)
+                writer.start()
+                try:
+                    for text in socket:
+                        self._on_message(text)
+                finally:
+                    self._queue.put(socket)
+                    writer.join()
         except Exception as error:  # refused, unknown host, no WebSocket, wrong token, cut
             return str(error) or type(error).__name__
-        finally:
-            with self._news:
-                self._socket = None
-                self._news.notify_all()
         return ""
 
     def close(self) -> None:
-        """Send the queued messages for at most a second, then end for good."""
-        with self._news:
-            self._is_closed = True
-            self._news.notify_all()
-            self._news.wait_for(lambda: not self.queue or self._socket is None, _FLUSH_S)
-            if self._socket is not None:
-                with suppress(OSError):  # it may be gone
-                    self._socket.socket.shutdown(SHUT_RDWR)  # a peer may not read, nor answer
+        """Let the thread that writes send the queued messages, then end the connection."""
+        self._queue.put(None)
 
     def _write(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
-        while True:
-            with self._news:
-                self._news.wait_for(
-                    lambda: self.queue or self._is_closed or self._socket is not socket
-                )
-                if not self.queue or self._socket is not socket:
-                    return
-                message = self.queue[0]
-            try:
-                socket.send(json.dumps(message))
-            except Exception as error:  # the thread that reads fails too
-                _log.info("nothing more is sent: %s", error)
-                return
-            with self._news:
-                self.queue.popleft()
-                self._news.notify_all()
+        with suppress(Exception):  # the thread that reads fails too
+            for message in iter(self._queue.get, socket):
+                if message is None:
+                    socket.close()
+                elif isinstance(message, dict):  # else the mark of an earlier connection
+                    socket.send(json.dumps(message))
 
 
 class BridgedGoal(Goal):
@@ -163,7 +139,7 @@ class BridgedGoal(Goal):
         self._node.lane(f"cancel {self.action}").send(request)
 
     def close(self) -> None:
-        Thread(target=self.connection.close, daemon=True).start()
+        self.connection.close()
 
     def see(self, live: set[str], new: set[str]) -> None:
         """Take in the identifiers of the goals that the server has, and which of them are new."""
@@ -241,7 +217,7 @@ class Rosbridge(Node):
         goals = [goal.connection for goals in self._goals.values() for goal in goals]
         for connection in (self._main, *self._lanes.copy().values(), *goals):
             connection.close()
-        self._thread.join()
+        self._thread.join(_FLUSH_S)
 
     def subscribe(self, topic: str, kind: str, hearer: Heard) -> None:
         ros.check_kind(kind)
@@ -316,7 +292,7 @@ class Rosbridge(Node):
         """Close the connection of an overdue call, which may have blocked it for good."""
         if isinstance(reply.exception(), Unanswered):
             self._drop(call.details, "as a call was overdue")
-            Thread(target=call.details.close, daemon=True).start()
+            call.details.close()
 
     def _declare(self, message: Message) -> None:
         """Send a declaration (subscribe, advertise), now and again after each reconnection."""

@@ -25,8 +25,8 @@ def flown(pages):
 
     Returns its processor time for a tick [s], its rows and the pages'.
     """
-    steering = Steering(SPEED)
     run = open_run(find_mission("suave_extended"), settings={"duration": str(SIMULATED_S)})
+    steering = Steering(run, SPEED)
     run.listen(steering)
     recorder = RunRecorder(run, 0, {}, 100_000, what_if=False)
     view = LiveView(run.kb, port=0, recorder=recorder.recorder, steering=steering)

@@ -97,7 +97,7 @@ def test_value_latched_before_is_heard(wire):
 
 
 @pytest.mark.parametrize("wire", WIRES)
-def test_bridge_runs_by_the_simulated_clock(wire):
+def test_bridge_runs_by_the_simulated_clock(wire, caplog):
     with connected(wire) as (host, node):
         for topic, kind in (("/clock", CLOCK), ("/battery_state", BATTERY)):
             host.advertise(topic, kind)
@@ -124,6 +124,7 @@ def test_bridge_runs_by_the_simulated_clock(wire):
             tell(3)
             tell(5)
             assert kb.now == 132.0, "it never goes back"
+            assert "/clock went back from 130 s to 3 s" in caplog.text
 
 
 def test_call_that_is_not_answered_fails_by_its_time_out(robot):

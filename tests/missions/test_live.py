@@ -70,13 +70,16 @@ def view(rover):
 
 
 @contextmanager
-def mission(steering, **settings):
-    """A mission under way in a thread, with a view of it that may steer it."""
+def mission(*first, kind=Steering, speed=1.0, **settings):
+    """A mission under way in a thread, with a view of it that may steer it; it does `first`."""
     given = {name: str(value) for name, value in settings.items()}
     run = open_run(find_mission("suave_extended"), settings=given)
+    steering = kind(run, speed)
     run.listen(steering)
     page = RunRecorder(run, 0, given, what_if=False)
-    steering.begin(run)
+    steering.breakpoints.watch(page.recorder.rows)
+    for what in first:
+        steering.do({"do": what})
     done = []
 
     def fly():
@@ -88,7 +91,7 @@ def mission(steering, **settings):
     with LiveView(run.kb, port=0, recorder=page.recorder, steering=steering) as view:
         thread.start()
         try:
-            yield view, run, done
+            yield view, run, done, steering
         finally:
             steering.do({"do": "speed", "value": 0})
             steering.do({"do": "resume"})
@@ -103,7 +106,7 @@ def test_page_comes_from_this_machine_and_gets_the_present_at_once(rover, view):
     assert 'id="rosa-data"' in text
     assert '"live":{"socket":"/ws"}' in text
     (hello,) = talk(view, until=lambda one: "hello" in one)
-    assert hello["hello"]["live"] is True
+    assert hello["hello"] == view.recorder.header
     assert fold(hello["rows"]) == fold(json.loads(json.dumps(view.recorder.recorded.rows)))
     assert hello["now"] == pytest.approx(1.0)
     assert hello["may"] == []
@@ -147,7 +150,7 @@ def test_what_if_is_asked_of_the_knowledge_base(rover, view):
 
 
 def test_page_without_leave_may_look_and_do_nothing(view):
-    for said in ({"do": "pause"}, {"do": "inject", "measure": {"energy": 0.1}}):
+    for said in ({"do": "pause"}, {"do": "inject", "fault": "measure energy=0.1"}):
         (*_, answer) = talk(view, said, until=lambda one: "error" in one)
         assert "may only watch" in answer["error"]
 
@@ -286,12 +289,11 @@ def test_frozen_page_holds_up_nobody_and_hears_how_much_it_has_missed(rover, vie
 
 
 def test_battery_fault_from_a_page_is_answered_with_its_chain():
-    steering = Steering(speed=1.0)
-    steering.do({"do": "pause"})  # so that it is the first adaptation
-    with mission(steering, duration=60) as (view, run, _):
+    # it is paused, so that it is the first adaptation
+    with mission("pause", duration=60) as (view, run, _, _):
         answers = talk(
             view,
-            {"do": "inject", "measure": {"battery_level": 0.2}},
+            {"do": "inject", "fault": "measure battery_level=0.2"},
             {"do": "resume"},
             until=lambda one: ("adaptation", 1) in fold(one.get("rows", ())),
         )
@@ -319,7 +321,7 @@ def test_held_run_stands_still_goes_by_ticks_and_takes_no_tick_more():
                 stands.set()
             return left
 
-    with mission(Held(speed=1.0), duration=100) as (view, run, done):
+    with mission(kind=Held, duration=100) as (view, run, done, _):
         talk(view, {"do": "pause"}, until=lambda one: one.get("state", {}).get("paused"))
         assert stands.wait(SOON_S)
         before = run.world.now
@@ -333,7 +335,7 @@ def test_held_run_stands_still_goes_by_ticks_and_takes_no_tick_more():
 
 
 def test_injected_failure_and_recovery_are_heard_and_what_is_held_is_released():
-    with mission(Steering(speed=1.0), duration=100) as (view, _, _):
+    with mission(duration=100) as (view, *_):
 
         def until(track, text):
             return lambda one: any(
@@ -342,15 +344,15 @@ def test_injected_failure_and_recovery_are_heard_and_what_is_held_is_released():
 
         talk(
             view,
-            {"do": "inject", "fail": "c_thruster_2"},
+            {"do": "inject", "fault": "fail c_thruster_2"},
             until=until("event", "c_thruster_2 has failed"),
         )
         talk(
             view,
-            {"do": "inject", "recover": "c_thruster_2"},
+            {"do": "inject", "fault": "recover c_thruster_2"},
             until=until("event", "c_thruster_2 is recovered"),
         )
-        said = {"do": "inject", "measure": {"water_visibility": 0.5}}
+        said = {"do": "inject", "fault": "measure water_visibility=0.5"}
         talk(
             view,
             said,
@@ -358,13 +360,13 @@ def test_injected_failure_and_recovery_are_heard_and_what_is_held_is_released():
         )
         talk(
             view,
-            {"do": "inject", "release": ["water_visibility"]},
+            {"do": "inject", "fault": "release water_visibility"},
             until=lambda one: one["state"]["held"] == {},
         )
         for wrong, words in (
-            ({"do": "inject", "fail": "thruster"}, "unknown component 'thruster'"),
-            ({"do": "inject", "measure": {"battery": 1}}, "unknown attribute 'battery'"),
-            ({"do": "inject", "measure": {"battery_level": "low"}}, "low"),
+            ({"do": "inject", "fault": "fail thruster"}, "unknown component 'thruster'"),
+            ({"do": "inject", "fault": "measure battery=1"}, "unknown attribute 'battery'"),
+            ({"do": "inject", "fault": "measure battery_level=low"}, "takes ATTRIBUTE=VALUE"),
             ({"do": "speed", "value": -1}, "a speed must be from 0"),
             ({"do": "jump"}, "known are pause, resume, step, speed, break and inject"),
         ):

@@ -292,7 +292,7 @@ def test_text_that_would_end_the_page_is_shown_and_ends_nothing(tmp_path):
     assert evil not in page
     assert html.escape(evil) in page
     run = read_report(tmp_path / "run.html")
-    assert run.title == evil
+    assert run.header["title"] == evil
     assert any(evil in event["words"] for event in run.last("event").values())
 
 

@@ -15,7 +15,6 @@ from test_live import mission
 
 from missions.baselines import open_run
 from missions.engine.mission import find_mission
-from missions.views.live import Steering
 from missions.views.recorder import RunRecorder
 from missions.views.report import page_of, report
 
@@ -515,7 +514,7 @@ def test_actions_that_are_done_at_the_same_time_have_a_lane_each(visits):
 
 
 def test_report_that_a_live_view_wrote_claims_no_knowledge_base_to_ask(visits):
-    header = recorded("suave_extended").header | {"live": True, "manager": ""}
+    header = recorded("suave_extended").header | {"manager": ""}
     run = {"header": header, "rows": recorded("suave_extended").rows}
     text = page_of({"run": run, "live": None, "note": "cut off at 300 s"}, "live")
     page = visits.show(visits.file(text))
@@ -589,9 +588,7 @@ def test_fault_is_injected_and_the_adaptation_and_its_chain_stand_there(
 
 
 def test_what_if_changes_no_fact_in_a_live_mission(visits):
-    steering = Steering(speed=0)
-    steering.do({"do": "pause"})
-    with mission(steering, duration=20) as (view, run, _):
+    with mission("pause", speed=0, duration=20) as (view, run, _, steering):
         page = visits.show(view.url)
         visits.outlives_its_mission = True
         known = repr(run.kb.components), repr(run.kb.attributes), run.kb.log.last
@@ -613,9 +610,7 @@ def test_what_if_changes_no_fact_in_a_live_mission(visits):
 
 
 def test_live_mission_stops_at_a_breakpoint_set_on_the_page(visits):
-    steering = Steering(speed=0)
-    steering.do({"do": "pause"})
-    with mission(steering, duration=40) as (view, run, _):
+    with mission("pause", speed=0, duration=40) as (view, run, *_):
         page = visits.show(view.url)
         visits.outlives_its_mission = True
         page.get_by_role("button", name="Events").click()
@@ -637,9 +632,7 @@ def test_page_says_that_the_mission_is_gone(visits, running, address):
 
 def test_page_goes_on_showing_the_run_after_it_is_over(visits):
     """It looks from before the end on, so that the result comes to a page that has been drawn."""
-    steering = Steering(speed=0)
-    steering.do({"do": "pause"})
-    with mission(steering, duration=20) as (view, _, done):
+    with mission("pause", speed=0, duration=20) as (view, _, done, steering):
         page = visits.show(view.url)
         page.locator(".connection", has_text="connected").wait_for()
         assert not done

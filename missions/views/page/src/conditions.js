@@ -12,8 +12,8 @@ export const breakpoints = signal([]); // texts; of a mission that runs, the ser
 /** The names of elements and of nodes of the tree, as [name, track, key]. */
 const named = computed(() => {
   const elements = run.value.last("element").map(([key, { name, kind }]) => [name, kind === "attribute" ? "value" : "status", key]);
-  const trees = run.value.keys("tree").flatMap((key) => run.value.of("tree", key).last?.nodes ?? []);
-  return [...elements, ...trees.map(([uid, , , name]) => [name, "node", uid])];
+  const nodes = run.value.of("tree").last?.nodes ?? [];
+  return [...elements, ...nodes.map(([uid, , , name]) => [name, "node", uid])];
 });
 
 /** What a condition says: the tracks that it is about and when a value fits; null if it says nothing. */

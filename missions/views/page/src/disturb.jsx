@@ -10,7 +10,7 @@ const typed = signal({}); // values by name of attribute
 function Value({ of, element: { name, unit } }) {
   const held = state.value.held?.[name];
   const value = typed.value[name] ?? figure(at("value", of)).replace("−", "-");
-  const measure = () => request("inject", { measure: { [name]: parseFloat(value) } });
+  const measure = () => request("inject", { fault: `measure ${name}=${parseFloat(value)}` });
   return (
     <li class="act">
       <span class="name">{name}</span>
@@ -19,7 +19,7 @@ function Value({ of, element: { name, unit } }) {
           onInput={({ target }) => (typed.value = { ...typed.value, [name]: target.value })} />
         <small>{unit}</small>
         <button disabled={!Number.isFinite(parseFloat(value))} onClick={measure}>Measure</button>
-        <button disabled={held === undefined} onClick={() => request("inject", { release: [name] })}>Release</button>
+        <button disabled={held === undefined} onClick={() => request("inject", { fault: `release ${name}` })}>Release</button>
       </span>
       {held !== undefined && <small class="bad">injected: {withUnit(figure(held), unit)}</small>}
     </li>
@@ -30,8 +30,8 @@ const Component = ({ of, element: { name } }) => (
   <li class="act">
     <span><Standing of={of} quiet /> <span class="name">{name}</span></span>
     <span class="tools">
-      <button onClick={() => request("inject", { fail: name })}>Fail</button>
-      <button onClick={() => request("inject", { recover: name })}>Recover</button>
+      <button onClick={() => request("inject", { fault: `fail ${name}` })}>Fail</button>
+      <button onClick={() => request("inject", { fault: `recover ${name}` })}>Recover</button>
     </span>
   </li>
 );

@@ -1,7 +1,7 @@
-// The trees as they were at the instant shown: their nodes, which of them are in sight, and where each stands.
+// The tree as it was at the instant shown: its nodes, which of them are in sight, and where each stands.
 import { computed, signal } from "@preact/signals";
 import { hierarchy, tree as layered } from "d3-hierarchy";
-import { at, chain, revision, run, selected } from "./state.js";
+import { at, chain, selected } from "./state.js";
 
 export const ROW = 24; // height of a row of the outline [px]
 export const BOX = { width: 176, height: 24, across: 216, down: 32 }; // a node of the drawing, and from one to the next [px]
@@ -9,19 +9,12 @@ const collapsed = signal(new Set()); // uids
 export const query = signal("");
 export const selectedNode = signal(null); // uid
 
-let before = [];
+/** The tree at the instant shown; the same while nothing changes in it. */
+const tree = computed(() => at("tree", 0) ?? { nodes: [] });
 
-/** The trees at the instant shown; the same list while nothing changes in them. */
-const trees = computed(() => {
-  revision.value;
-  const now = run.value.keys("tree").map((key) => at("tree", key)).filter(Boolean);
-  if (now.length !== before.length || now.some((one, index) => one !== before[index])) before = now;
-  return before;
-});
-
-function nodesOf(tree) {
+function nodesOf({ nodes: all }) {
   const nodes = new Map();
-  for (const [uid, parent, type, name, kind, elements] of tree.nodes) {
+  for (const [uid, parent, type, name, kind, elements] of all) {
     const above = nodes.get(parent);
     const node = { uid, type, name, kind, elements, above, depth: above ? above.depth + 1 : 0, children: [] };
     (above?.children ?? []).push(node);
@@ -31,7 +24,7 @@ function nodesOf(tree) {
 }
 
 /** Every node, parents before children. */
-export const nodes = computed(() => trees.value.flatMap(nodesOf));
+export const nodes = computed(() => nodesOf(tree.value));
 const lineage = (node) => (node ? [node, ...lineage(node.above)] : []);
 
 /** Which nodes a search leaves in sight: those that fit, and what is above them; null without a search. */

@@ -5,7 +5,6 @@ import { Run } from "./run.js";
 import { isFollowing, revision, run, time } from "./state.js";
 
 const MOST = 200_000; // rows to keep
-const PATIENCE_MS = [500, 1000, 2000, 4000, 8000];
 export const connection = signal("none"); // none (a report), connecting, connected, lost, refused
 export const dropped = signal(0);
 export const state = signal({}); // paused, speed, over, pages
@@ -29,7 +28,7 @@ export function connect(path) {
   socket.onclose = ({ code, reason }) => {
     connection.value = code === 1008 ? "refused" : "lost";
     if (reason) complaint.value = reason;
-    if (code !== 1008) setTimeout(connect, PATIENCE_MS[Math.min(failures++, PATIENCE_MS.length - 1)], path);
+    if (code !== 1008) setTimeout(connect, Math.min(500 * 2 ** failures++, 8000), path);
   };
 }
 

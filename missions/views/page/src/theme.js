@@ -1,14 +1,9 @@
-// Light or dark: as the system has it, until the reader says otherwise. Canvases ask here for their colours.
-import { computed, effect, signal } from "@preact/signals";
+// Light or dark: at first as the system has it. Canvases ask here for their colours.
+import { effect, signal } from "@preact/signals";
 
-const dark = matchMedia("(prefers-color-scheme: dark)");
-const system = signal(dark.matches ? "dark" : "light");
-const wanted = signal(null);
-dark.addEventListener("change", () => (system.value = dark.matches ? "dark" : "light"));
+export const theme = signal(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
 
-export const theme = computed(() => wanted.value ?? system.value);
-
-export const toggleTheme = () => (wanted.value = theme.value === "dark" ? "light" : "dark");
+export const toggleTheme = () => (theme.value = theme.value === "dark" ? "light" : "dark");
 
 const colours = new Map();
 
