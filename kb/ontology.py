@@ -224,6 +224,14 @@ class _Double(float):
     """A number that owlready2 writes as a double, and not as a decimal."""
 
 
+@cache
+def _declare_double() -> None:
+    """Declare the datatype once: owlready2 writes it to every world, which may be closing."""
+    import owlready2
+
+    owlready2.declare_datatype(_Double, f"{_XSD}double", float, float)
+
+
 class _Graph:
     """A world of owlready2 with ROSA's words, to which individuals are written.
 
@@ -236,7 +244,7 @@ class _Graph:
     def __init__(self, model: str) -> None:
         import owlready2
 
-        owlready2.declare_datatype(_Double, f"{_XSD}double", float, float)
+        _declare_double()
         self.world = owlready2.World()
         self.ontology = self.world.get_ontology(f"{BASE}{_id('RobotModel', model)}#")
         self.rosa = self.ontology.get_namespace(ROSA)
