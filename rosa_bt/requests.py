@@ -31,7 +31,7 @@ _RESULTS = {
 }
 
 
-@dataclass(slots=True)
+@dataclass
 class Requests:
     """The requests and the progress of behaviours, for one knowledge base."""
 

@@ -47,8 +47,6 @@ def tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     """Return the tree: patrol from place to place while that is feasible, or else dock."""
     places = cycle([pose(4.0, 0.0), pose(4.0, 3.0), pose(0.0, 3.0)])
     server = "/navigate_to_pose"
-    patrol = RosAction(
-        "patrol", kb, "patrol", server, NAVIGATE, lambda: next(places), wait=True, timeout=30.0
-    )
+    patrol = RosAction("patrol", kb, "patrol", server, NAVIGATE, lambda: next(places), wait=True)
     dock = RosAction("dock", kb, "return_to_dock", server, NAVIGATE, pose(0.0, 0.0), wait=True)
     return first_feasible("what to do", [patrol, dock])

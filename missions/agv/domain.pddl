@@ -11,6 +11,12 @@
     mode - setup
   )
 
+  (:constants
+    switch - action
+    within - place                       ; where the robot is in a corridor
+    now - setup                          ; how it is configured, if that is no mode
+  )
+
   (:predicates
     (action_feasible ?a - action)        ; set from the knowledge base
     (switch_action ?a - action)

@@ -2,8 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Iterator
-from importlib.resources import files
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -15,82 +14,64 @@ from missions.agv.model import Building, Corridor
 Array = NDArray[np.float64]
 Pose = tuple[float, float, float]  # x, y [m] and yaw [rad]
 
-RADIUS_M: Final = 0.2
-"""Radius of the vehicle [m]; like all sizes here own choice, of the order of a small research
-robot."""
+# As in building.xml; like all sizes here own choice, of the order of a small research robot.
 WHEEL_M: Final = 0.07
 HALF_TRACK_M: Final = 0.17
 _HALF_WIDTH_M: Final = 1.2  # of a corridor
 _BOX_M: Final = 0.2  # half the edge of an obstacle
 _FREE_M: Final = 2.5  # without boxes, from either end
-_APART_M: Final = (
-    1.25  # from one box to the next; if they are closer, the vehicle cannot drive round them
-)
+_APART_M: Final = 1.25  # from one box to the next; nearer, the vehicle cannot drive round them
 
-_GEOM: Final = '<geom type="box" size="{} {} {}" pos="{:.4f} {:.4f} {}" euler="0 0 {}" group="1"/>'
+STEPS: Final = 10  # of the physics in a period, each 0.01 s
+PERIOD_S: Final = 0.1  # of sensing and steering
 
 
-def scene_xml(building: Building, placed: list[Pose], pose: Pose, step_s: float) -> str:
+def scene_xml(building: Building, placed: list[Pose], pose: Pose) -> str:
     """Return the scene; see `Vehicle`."""
-    walls = "\n".join(
-        wall for corridor in building.corridors.values() for wall in _walls(building, corridor)
-    )
-    blocks = "\n".join(
-        _GEOM.format(_BOX_M, _BOX_M, 0.3, bx, by, 0.3, f"{turn:.4f}") for bx, by, turn in placed
-    )
-    sizes = {
-        "radius": RADIUS_M,
-        "wheel": WHEEL_M,
-        "half_track": HALF_TRACK_M,
-        "caster": round(0.032 - WHEEL_M, 4),
-    }
-    scene = (files("missions.agv") / "building.xml").read_text(encoding="utf-8")
+    blocks = [_block(box, _BOX_M, _BOX_M, 0.3) for box in placed]
+    for corridor in building.corridors.values():
+        half_m = corridor.length_m / 2
+        for side in (-1, 1):
+            wall = _pose(building, corridor, half_m, side * (_HALF_WIDTH_M + 0.05))
+            if half_m > 1.2 * _HALF_WIDTH_M:
+                blocks.append(_block(wall, half_m - 1.2 * _HALF_WIDTH_M, 0.05, 0.4))
+    scene = Path(__file__).with_name("building.xml").read_text(encoding="utf-8")
     x, y, yaw = pose
-    return scene.format(walls=walls, blocks=blocks, x=x, y=y, yaw=yaw, step_s=step_s, **sizes)
+    return scene.format(blocks="\n".join(blocks), x=x, y=y, yaw=yaw)
 
 
 def boxes(building: Building, rng: Generator) -> list[Pose]:
     """Put boxes into the corridors: as the map says, but no more than it can drive round."""
     placed = []
     for corridor in building.corridors.values():
-        (x, y), ux, uy, length_m = _line(building, corridor)
-        room_m = length_m - 2 * _FREE_M
+        room_m = corridor.length_m - 2 * _FREE_M
         most = max(1, int(room_m / _APART_M)) if room_m > 0 else 0
-        count = round(min(corridor.obstacles * length_m, most))
+        count = round(min(corridor.obstacles * corridor.length_m, most))
         for number in range(count):
             along = _FREE_M + room_m * (number + 0.5 + rng.uniform(-0.15, 0.15)) / count
             aside = (1 if number % 2 else -1) * rng.uniform(0.2, 0.45)
-            placed.append(
-                (x + along * ux - aside * uy, y + along * uy + aside * ux, math.atan2(uy, ux))
-            )
+            placed.append(_pose(building, corridor, along, aside))
     return placed
 
 
-def _line(
-    building: Building, corridor: Corridor
-) -> tuple[tuple[float, float], float, float, float]:
-    start, end = (building.places[place] for place in corridor.ends)
-    length_m = math.dist(start, end)
-    return start, (end[0] - start[0]) / length_m, (end[1] - start[1]) / length_m, length_m
+def _pose(building: Building, corridor: Corridor, along: float, aside: float) -> Pose:
+    """Return where something stands, so far [m] along a corridor and to its left."""
+    (x, y), (end_x, end_y) = (building.places[place] for place in corridor.ends)
+    ux = (end_x - x) / corridor.length_m
+    uy = (end_y - y) / corridor.length_m
+    return x + along * ux - aside * uy, y + along * uy + aside * ux, math.atan2(uy, ux)
 
 
-def _walls(building: Building, corridor: Corridor) -> Iterator[str]:
-    (x, y), ux, uy, length_m = _line(building, corridor)
-    half_m = length_m / 2 - 1.2 * _HALF_WIDTH_M
-    if half_m <= 0:
-        return
-    for side in (-1, 1):
-        wx = x + length_m / 2 * ux - side * (_HALF_WIDTH_M + 0.05) * uy
-        wy = y + length_m / 2 * uy + side * (_HALF_WIDTH_M + 0.05) * ux
-        yield _GEOM.format(f"{half_m:.4f}", 0.05, 0.4, wx, wy, 0.4, f"{math.atan2(uy, ux):.6f}")
+def _block(pose: Pose, half_x: float, half_y: float, half_z: float) -> str:
+    x, y, yaw = pose
+    size = f"{half_x:.4f} {half_y} {half_z}"
+    place = f'pos="{x:.4f} {y:.4f} {half_z}" euler="0 0 {yaw:.6f}"'
+    return f'<geom type="box" size="{size}" {place} group="1"/>'
 
 
 _AHEAD_M: Final = 1.0  # how far ahead on the line it aims
 _CLEAR_M: Final = 1.1  # how far a free heading is free
-_ROOMS_M: Final = (
-    0.34,
-    0.24,
-)  # free to either side of a heading; the second where the first is not possible
+_ROOMS_M: Final = (0.34, 0.24)  # free to either side of a heading; the second if it must be
 _STOP_M: Final = 0.28  # how near the vehicle may get to what is in front
 _SLOW_M: Final = 0.7  # it slows down so far before that
 _BACK_M_S: Final = 0.1  # backwards, where no heading is free
@@ -113,9 +94,7 @@ def aim_along(position: Array, start: Array, end: Array) -> Array:
     line = end - start
     length = float(np.hypot(*line))
     unit = line / max(length, 1e-9)
-    along = min(
-        max(float((position - start) @ unit), 0.0), length
-    )  # a tenth of the time that numpy takes for one
+    along = max(float((position - start) @ unit), 0.0)
     point: Array = start + unit * min(along + _AHEAD_M, length)
     return point
 
@@ -128,26 +107,17 @@ def steer(bearing: float, hits: Array, speed: float) -> Aim:
         hits: (n, 2) what is seen in the way [m].
         speed: to drive at [m/s].
     """
-    if not len(hits):
-        return _turned_to(bearing, speed)
-    ahead = hits[(hits[:, 0] > 0.0) & (np.abs(hits[:, 1]) < _ROOMS_M[0]), 0]
-    room_m = float(ahead.min(initial=math.inf))
+    x, y = hits.T
+    room_m = float(x[(x > 0.0) & (np.abs(y) < _ROOMS_M[0])].min(initial=math.inf))
     speed *= min(max((room_m - _STOP_M) / _SLOW_M, 0.0), 1.0)
-    headings = bearing + _OFFSETS
-    rooms = list[float]()
-    x = hits[:, 0]
-    y = hits[:, 1]
-    for heading, cos, sin in zip(
-        headings.tolist(), np.cos(headings), np.sin(headings), strict=True
-    ):
-        along = cos * x + sin * y
-        aside = np.abs(cos * y - sin * x)
-        rooms.append(float(aside[(along > 0.0) & (along < _CLEAR_M)].min(initial=math.inf)))
-        if rooms[-1] >= _ROOMS_M[0]:  # mostly the first heading is free
-            return _turned_to(heading, speed)
-    for heading, room in zip(headings.tolist(), rooms, strict=True):
-        if room >= _ROOMS_M[1]:
-            return _turned_to(heading, speed)
+    for room in _ROOMS_M:
+        for heading in (bearing + _OFFSETS).tolist():
+            cos = math.cos(heading)
+            sin = math.sin(heading)
+            along = cos * x + sin * y
+            in_way = (along > 0.0) & (along < _CLEAR_M) & (np.abs(cos * y - sin * x) < room)
+            if not in_way.any():
+                return _turned_to(heading, speed)
     return Aim(-_BACK_M_S, 0.0)
 
 
@@ -157,19 +127,20 @@ def _turned_to(heading: float, speed: float) -> Aim:
     return Aim(speed * max(0.0, math.cos(error)) ** 3, turn)
 
 
-SENSORS: Final = {
-    "lidar": (math.radians(120), 8.0),
-    "kinect": (math.radians(28.5), 4.0),
-    "camera": (0.5, 2.0),
-}
-"""Half of the angle of view [rad] and the range [m] of each sensor; Kinect: its data sheet, else
-own choice."""
 _RAY_STEP: Final = math.radians(4)
-_RAYS: Final = {
-    name: (np.linspace(-half, half, 2 * int(half / _RAY_STEP) + 1), reach_m)
-    for name, (half, reach_m) in SENSORS.items()
+
+
+def _rays(half: float, reach_m: float) -> tuple[Array, float]:
+    return np.linspace(-half, half, 2 * int(half / _RAY_STEP) + 1), reach_m
+
+
+SENSORS: Final = {
+    "lidar": _rays(math.radians(120), 8.0),
+    "kinect": _rays(math.radians(28.5), 4.0),
+    "camera": _rays(0.5, 2.0),
 }
-_TOUCHING: Final = (1, 2), (2, 1)  # groups of geoms: the surroundings, and the vehicle
+"""The rays [rad] within the angle of view, and the range [m] of each sensor; Kinect: its data
+sheet, else own choice."""
 _MEMORY: Final = 30  # scans that it remembers; what it has passed is out of sight, but still there
 
 
@@ -180,36 +151,32 @@ class Vehicle:
         building: where it is; corridors are straight, between their places.
         placed: x, y [m] and yaw [rad] of each box in the way.
         pose: x, y [m] and yaw [rad] at the start.
-        step_s: of the physics [s].
 
     Attributes:
         position: X and y (2,) [m], world frame.
         yaw: Heading [rad], from x to y.
     """
 
-    def __init__(self, building: Building, placed: list[Pose], pose: Pose, step_s: float) -> None:
+    def __init__(self, building: Building, placed: list[Pose], pose: Pose) -> None:
         import mujoco  # takes long, so not before a mission is run
 
         self._mujoco: Any = mujoco
-        self._model: Any = mujoco.MjModel.from_xml_string(scene_xml(building, placed, pose, step_s))
+        self._model: Any = mujoco.MjModel.from_xml_string(scene_xml(building, placed, pose))
         self._data: Any = mujoco.MjData(self._model)
-        self._qpos = self._data.qpos
-        self._body = int(self._model.body("vehicle").id)
-        self._group_of: list[int] = self._model.geom_group.tolist()
-        self._groups = np.array([0, 1, 0, 0, 0, 0], dtype=np.uint8)
         self._seen: deque[Array] = deque(maxlen=_MEMORY)
         self._touched = False
         self.collisions = 0
         mujoco.mj_forward(self._model, self._data)
         self._stand()
 
-    def drive(self, aim: Aim, steps: int) -> None:
-        """Advance the physics by a number of steps, with the wheel speeds of an aim."""
+    def drive(self, aim: Aim) -> None:
+        """Advance the physics by a period, with the wheel speeds of an aim."""
         aside = aim.turn * HALF_TRACK_M
         self._data.ctrl[:] = (aim.forward - aside) / WHEEL_M, (aim.forward + aside) / WHEEL_M
-        self._mujoco.mj_step(self._model, self._data, steps)
+        self._mujoco.mj_step(self._model, self._data, STEPS)
         self._stand()
-        touches = self._touches()
+        pairs = self._model.geom_group[self._data.contact.geom].tolist()
+        touches = [1, 2] in pairs or [2, 1] in pairs  # the surroundings, and the vehicle
         self.collisions += touches and not self._touched
         self._touched = touches
 
@@ -218,27 +185,24 @@ class Vehicle:
 
         Return what it sees or has seen lately near by, (n, 2) [m], vehicle's frame.
         """
-        yaw = self.yaw
-        here = self.position
-        offsets, reach_m = _RAYS[sensor]
-        angles = yaw + offsets
+        offsets, reach_m = SENSORS[sensor]
+        angles = self.yaw + offsets
         count = len(offsets)
-        rays = np.zeros((count, 3))
-        rays[:, 0] = np.cos(angles)
-        rays[:, 1] = np.sin(angles)
-        origin = np.array([*here.tolist(), 0.2])
+        rays = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(count)])
+        origin = np.array([*self.position.tolist(), 0.2])
         hit = np.zeros(count, dtype=np.int32)
         far = np.zeros(count)
-        past = self._groups, True, self._body
+        groups = np.array([0, 1, 0, 0, 0, 0], dtype=np.uint8)  # only the surroundings
+        past = groups, True, int(self._model.body("vehicle").id)
         self._mujoco.mj_multiRay(
             self._model, self._data, origin, rays.ravel(), *past, hit, far, None, count, reach_m
         )
         is_hit = (hit >= 0) & (far > 0.0)
         self._seen.append(origin[:2] + rays[is_hit, :2] * far[is_hit, None])
-        apart = np.concatenate(self._seen) - here
+        apart = np.concatenate(self._seen) - self.position
         near = apart[np.hypot(apart[:, 0], apart[:, 1]) < 2.0]
-        cos = math.cos(yaw)
-        sin = math.sin(yaw)
+        cos = math.cos(self.yaw)
+        sin = math.sin(self.yaw)
         local: Array = near @ np.array([[cos, -sin], [sin, cos]])
         return local
 
@@ -247,13 +211,7 @@ class Vehicle:
         self._seen.clear()
 
     def _stand(self) -> None:
-        x, y, _, *turned = self._qpos.tolist()[:7]
+        x, y, _, *turned = self._data.qpos.tolist()[:7]
         w, i, j, k = turned
         self.position: Array = np.array((x, y))
         self.yaw = math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
-
-    def _touches(self) -> bool:
-        contacts = self._data.contact
-        pairs = contacts.geom[: self._data.ncon].tolist()
-        group = self._group_of
-        return any((group[first], group[second]) in _TOUCHING for first, second in pairs)

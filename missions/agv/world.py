@@ -1,62 +1,48 @@
 """The building as a world of missions, with its incidents and the components of the vehicle."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 
-from kb import KnowledgeBase, ManagedSystem
-from missions.agv.model import DRAW_W, DRIVING_W, ERROR_M, NAVIGATOR, NEEDED_LIGHT, SPEEDS, Building
-from missions.agv.tree import Route
-from missions.agv.vehicle import Aim, Array, Vehicle, aim_along, boxes, steer
-from missions.engine.components import VERBS, NamedComponents, SimulatedComponents
-from missions.engine.mission import (
-    Message,
-    MissionError,
-    Percepts,
-    Sample,
-    Setting,
-    Verdict,
-    World,
-    WorldKind,
+from kb import KnowledgeBase
+from missions.agv.joint import SET_S, SWITCH_S
+from missions.agv.model import (
+    BASE,
+    DESIGNS,
+    DRAW_W,
+    NAVIGATOR,
+    NEEDED_LIGHT,
+    SPEEDS,
+    UNLIT,
+    Building,
 )
+from missions.agv.tree import Route
+from missions.agv.vehicle import PERIOD_S, Aim, Array, Vehicle, aim_along, boxes, steer
+from missions.engine import mission
+from missions.engine.components import VERBS, NamedComponents, SimulatedComponents
+from missions.engine.mission import MISSION_STATUS, Message, Percepts, Sample, Setting, Verdict
 from missions.engine.settings import Constants, declared, setting
 
-_OWN: Final = "own choice"
-_PAPER: Final = "ROSA paper, AGV use case; where along the corridor: own choice"
-
+# The constants below are own choices; where along the corridor something happens, too.
+MONITOR_PERIOD_S: Final = 0.5  # of the monitors of light, energy and position
+STANDING_BASE_W: Final = 2.0  # power of the base while the vehicle stands
+REACH_M: Final = 0.3  # distance at which a place is reached
 _STAND: Final = Aim(0.0, 0.0)
 _ERROR_KEEPS: Final = 0.98  # of the error of the position, from one look to the next
-_DARK: Final = 0.1  # where the lamps of a corridor have gone out, from 0 to 1; own choice
+_DARK: Final = 0.1  # where the lamps of a corridor have gone out, from 0 to 1
 _CREEP_M: Final = 1e-4  # in a period; a robot that moves less stands still
 _WELL_INSIDE_M: Final = 1.0  # so far from a place, the robot is in the corridor
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Settings(Constants):
-    """The constants; times count from the start of the mission."""
+    """What can be set."""
 
-    incidents: bool = setting(True, "-", "whether the incidents of the map happen", _PAPER)
-    capacity_j: float = setting(20_000.0, "J", "energy at the start", _OWN, 1.0)
-    physics_step_s: float = setting(0.01, "s", "step of the physics engine", _OWN, 1e-3, 0.01)
-    control_period_s: float = setting(0.1, "s", "period of sensing and steering", _OWN, 1e-2)
-    monitor_period_s: float = setting(
-        0.5, "s", "period of the monitors of light, energy and position", _OWN, 0.1
-    )
-    switching_s: float = setting(0.5, "s", "time to start or stop a component", _OWN, 0.0)
-    parameter_s: float = setting(0.1, "s", "time to set parameters", _OWN, 0.0)
-    standing_w: float = setting(2.0, "W", "power of the base while the vehicle stands", _OWN, 0.0)
-    reach_m: float = setting(0.3, "m", "distance at which a place is reached", _OWN, 0.05)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        steps = self.control_period_s / self.physics_step_s
-        if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
-            multiple = f"a whole multiple of physics_step_s {self.physics_step_s:g}"
-            raise MissionError(f"control_period_s {self.control_period_s:g} is not {multiple}")
+    capacity_j: float = setting(20_000.0, "J", "energy at the start", "own choice", 1.0)
 
 
 class Incident(NamedTuple):
@@ -69,7 +55,7 @@ class Incident(NamedTuple):
     component: str = ""
 
 
-class BuildingWorld(World):
+class BuildingWorld(NamedComponents, mission.World):
     """A vehicle that drives where its navigator says, as long as it can localise itself.
 
     All chance comes from `rng`.
@@ -82,23 +68,21 @@ class BuildingWorld(World):
         rng: Generator,
         incidents: Sequence[Incident] = (),
     ) -> None:
+        super().__init__()
         self._building = building
         self._settings = settings
         self._rng = rng
-        start = building.places[building.start]
         placed = boxes(building, rng)
-        pose = (*start, rng.uniform(-math.pi, math.pi))
-        self._vehicle = Vehicle(building, placed, pose, settings.physics_step_s)
-        self._components = _Components()
-        takes = settings.switching_s, settings.switching_s, settings.parameter_s
-        self._managed = SimulatedComponents(
-            lambda: self.now, self._components, dict(zip(VERBS, takes, strict=True))
-        )
-        self._waiting = [
-            (incident, rng.uniform(0.25, 0.6))  # where in its corridor, as a share of the length
-            for incident in (incidents if settings.incidents else ())
-        ]
-        self._light = {corridor.name: corridor.light for corridor in building.corridors.values()}
+        pose = (*building.places[building.start], rng.uniform(-math.pi, math.pi))
+        self._vehicle = Vehicle(building, placed, pose)
+        takes = dict(zip(VERBS, (SWITCH_S, SWITCH_S, SET_S), strict=True))
+        self._managed = SimulatedComponents(lambda: self.now, self, takes)
+        self._waiting: list[tuple[Incident, float]] = []
+        for incident in incidents:
+            share = rng.uniform(0.25, 0.6)  # where in its corridor it happens
+            length_m = building.corridors[incident.corridor].length_m
+            self._waiting.append((incident, share * length_m))
+        self._light = {name: part.light for name, part in building.corridors.items()}
         self._ticks = 0
         self._at = building.start
         self._inside = ""
@@ -106,23 +90,22 @@ class BuildingWorld(World):
         self._ordered: Mapping[str, Any] = {}
         self._sensor = ""
         self._error: Array = np.zeros(2)
-        self._error_m = 0.0
         self._energy_j = settings.capacity_j
         self._driven_total_m = 0.0
         self._is_moving = False
-        self._news: dict[str, dict[str, str]] = {}
+        self._news: list[dict[str, Any]] = []
         self._happened: list[tuple[float, str]] = []
         self._monitor_due = 0.0
-        self._say("mission status", f"at {self._at}", "true")
+        self._say(MISSION_STATUS, f"at {self._at}", "true")
         self._say("QA measurement", "energy", repr(self._energy_j))
 
     @property
     def now(self) -> float:
         """Time since the start [s]."""
-        return self._ticks * self._settings.control_period_s
+        return self._ticks * PERIOD_S
 
     @property
-    def managed(self) -> ManagedSystem:
+    def managed(self) -> SimulatedComponents:
         return self._managed
 
     def advance(self, until: float) -> list[Message]:
@@ -136,11 +119,8 @@ class BuildingWorld(World):
             if self._news or switched or self.is_still is not was_still:
                 break
         news = self._news
-        self._news = {}
-        said = [
-            {"name": "building", "message": kind, "values": values} for kind, values in news.items()
-        ]
-        return [{"time": self.now, "status": said}] if said else []
+        self._news = []
+        return [{"time": self.now, "status": news}] if news else []
 
     @property
     def is_still(self) -> bool:
@@ -157,136 +137,125 @@ class BuildingWorld(World):
 
     def sample(self) -> Sample:
         x, y = self._vehicle.position
-        signals = {"light [-]": self._light_here, "draws [W]": self._draws_w(self._sensor != "")}
-        return Sample(
-            self.now, (float(x), float(y), 0.0), {**signals, "speed set [m/s]": self._speed}
-        )
+        signals = {"light [-]": self._light_here, "speed set [m/s]": self._speed}
+        return Sample(self.now, (float(x), float(y), 0.0), signals)
 
     def disturbances(self) -> list[tuple[float, str]]:
         return list(self._happened)
 
     def scenery(self) -> Mapping[str, Any]:
-        """Return the corridors, with what is special in each."""
-        shown = {}
-        for corridor in self._building.corridors.values():
-            is_dark = self._light[corridor.name] < corridor.light or corridor.light < NEEDED_LIGHT
-            words = {"obstructed": corridor.obstacles > 0, "dark": is_dark}
-            start, end = (np.array(self._building.places[place]) for place in corridor.ends)
-            shown[", ".join([corridor.name, *(word for word, holds in words.items() if holds)])] = (
-                np.linspace(start, end, 9)
-            )
-        return shown
+        """Return the corridors as lines."""
+        lines = {}
+        for name, corridor in self._building.corridors.items():
+            start, end = (self._building.places[place] for place in corridor.ends)
+            lines[name] = np.linspace(start, end, 9)
+        return lines
 
     def _step(self) -> None:
         self._ticks += 1
         before = self._vehicle.position
         self._take_orders()
         aim = self._aim()
-        self._vehicle.drive(
-            aim, round(self._settings.control_period_s / self._settings.physics_step_s)
-        )
-        self._energy_j = max(
-            0.0, self._energy_j - self._draws_w(aim is not _STAND) * self._settings.control_period_s
-        )
+        self._vehicle.drive(aim)
+        base_w = STANDING_BASE_W
+        for speed in SPEEDS.values():
+            if aim is not _STAND and speed.metres_per_second == self._speed:
+                base_w = speed.watts
+        draws_w = base_w + sum(watts for name, watts in DRAW_W.items() if name in self.active)
+        self._energy_j = max(0.0, self._energy_j - draws_w * PERIOD_S)
         driven_m = math.dist(before, self._vehicle.position)
         self._driven_total_m += driven_m
         self._is_moving = driven_m > _CREEP_M
         self._look_where_it_is()
         for waiting in list(self._waiting):
-            incident, share = waiting
-            length_m = self._building.corridors[incident.corridor].length_m
-            if incident.corridor == self._inside and self._driven_m >= share * length_m:
+            incident, after_m = waiting
+            if incident.corridor == self._inside and self._driven_m >= after_m:
                 self._waiting.remove(waiting)
                 self._happen(incident)
 
     def _take_orders(self) -> None:
         """Take over a new order: drive to the origin first, unless the vehicle is there."""
-        ordered = self._components.orders(NAVIGATOR)
+        ordered = self._orders(NAVIGATOR)
         if not ordered or ordered == self._ordered:
             return
         self._ordered = ordered
-        to = self._building.corridors[ordered["corridor"]].other(ordered["origin"])
-        is_on_it = self._inside == ordered["corridor"] or (
-            self._at == ordered["origin"] and not self._inside
-        )
-        self._way = [to] if is_on_it else [ordered["origin"], to]
+        corridor, origin = ordered["corridor"], ordered["origin"]
+        to = self._building.corridors[corridor].other(origin)
+        is_on_it = self._inside == corridor or (self._at == origin and not self._inside)
+        self._way = [to] if is_on_it else [origin, to]
 
     def _aim(self) -> Aim:
-        sensor = self._seeing()
+        sensor, error_m = self._seeing()
         if sensor != self._sensor:
             self._sensor = sensor
             self._vehicle.forget()
         if not sensor or not self._way or self._speed == 0.0 or self._energy_j == 0.0:
             return _STAND
         target = np.array(self._building.places[self._way[0]])
-        believed = self._vehicle.position + self._drift()
-        corridor = self._building.corridors[
-            self._ordered["corridor"] if len(self._way) == 1 else self._inside
-        ]
-        start = np.array(self._building.places[corridor.other(self._way[0])])
+        believed = self._vehicle.position + self._drift(error_m)
+        name = self._ordered["corridor"] if len(self._way) == 1 else self._inside
+        origin = self._building.corridors[name].other(self._way[0])
+        start = np.array(self._building.places[origin])
         to = aim_along(believed, start, target) - believed
         bearing = math.remainder(math.atan2(to[1], to[0]) - self._vehicle.yaw, math.tau)
         return steer(bearing, self._vehicle.look(sensor), self._speed)
 
-    def _seeing(self) -> str:
-        """Return the sensor by which the vehicle localises itself; empty if it cannot."""
-        running = self._components.running
-        for (localizer, sensor), error_m in ERROR_M.items():
-            sees = sensor != "camera" or self._light_here >= NEEDED_LIGHT or "lamp" in running
-            if sees and running.issuperset((localizer, sensor, "base", NAVIGATOR)):
-                self._error_m = error_m
-                return sensor
-        return ""
+    def _seeing(self) -> tuple[str, float]:
+        """Return the sensor by which it localises itself, empty if it cannot, and its error [m]."""
+        for name, design in DESIGNS.items():
+            sees = name != UNLIT or self._light_here >= NEEDED_LIGHT
+            if sees and self.active.issuperset((*design.components, BASE, NAVIGATOR)):
+                return design.components[1], design.error_m
+        return "", 0.0
 
-    def _drift(self) -> Array:
+    def _drift(self, error_m: float) -> Array:
         """Return the error of the position that the vehicle believes in, (2,) [m]; it wanders."""
-        fresh = self._error_m * math.sqrt((1 - _ERROR_KEEPS**2) / 2)
+        fresh = error_m * math.sqrt((1 - _ERROR_KEEPS**2) / 2)
         self._error = _ERROR_KEEPS * self._error + fresh * self._rng.standard_normal(2)
         return self._error
 
     def _look_where_it_is(self) -> None:
+        way = self._way
         position = self._vehicle.position
-        if (
-            self._way
-            and math.dist(position, self._building.places[self._way[0]]) < self._settings.reach_m
-        ):
-            place = self._way.pop(0)
+        if way and math.dist(position, self._building.places[way[0]]) < REACH_M:
+            place = way.pop(0)
             if self._inside:
-                self._say("mission status", f"in {self._inside}", "false")
+                self._say(MISSION_STATUS, f"in {self._inside}", "false")
                 self._inside = ""
             if place != self._at:
-                self._say("mission status", f"at {self._at}", "false")
+                self._say(MISSION_STATUS, f"at {self._at}", "false")
                 self._at = place
-                self._say("mission status", f"at {place}", "true")
-        elif not self._inside and len(self._way) == 1 and self._driven_m > _WELL_INSIDE_M:
+                self._say(MISSION_STATUS, f"at {place}", "true")
+        elif not self._inside and len(way) == 1 and self._driven_m > _WELL_INSIDE_M:
             self._inside = str(self._ordered["corridor"])
             self._say("EA measurement", "driven", repr(self._driven_m))
-            self._say("mission status", f"in {self._inside}", "true")
+            self._say(MISSION_STATUS, f"in {self._inside}", "true")
 
     def _happen(self, incident: Incident) -> None:
         name = incident.component
         if name:
             text = f"{name} failed"
-            self._components.failed.add(name)
+            self.active.discard(name)
+            self._managed.script(name, "activate", fail_first=math.inf)
             self._say("component status", name, "failure")
-            self._say("mission status", text, "true")
+            self._say(MISSION_STATUS, text, "true")
         else:
             light = f"light in {incident.corridor}"
             text = f"{light} goes out"
             self._light[incident.corridor] = _DARK
             self._say("EA measurement", "light", repr(_DARK))
-            self._say("mission status", light, repr(_DARK))
+            self._say(MISSION_STATUS, light, repr(_DARK))
         self._happened.append((self.now, text))
 
     def _monitor(self) -> None:
-        self._monitor_due += self._settings.monitor_period_s
+        self._monitor_due += MONITOR_PERIOD_S
         if self._inside:
             self._say("EA measurement", "light", repr(self._light_here))
             self._say("EA measurement", "driven", repr(self._driven_m))
         self._say("QA measurement", "energy", repr(self._energy_j))
 
     def _say(self, kind: str, key: str, value: str) -> None:
-        self._news.setdefault(kind, {})[key] = value
+        self._news.append({"name": "building", "message": kind, "values": {key: value}})
 
     @property
     def _driven_m(self) -> float:
@@ -298,57 +267,25 @@ class BuildingWorld(World):
 
     @property
     def _speed(self) -> float:
-        return float(self._components.orders("base").get("speed", 0.0))
+        return float(self._orders(BASE).get("speed", 0.0))
 
-    def _draws_w(self, is_driving: bool) -> float:
-        now = self._speed
-        speed = next((name for name, value in SPEEDS.items() if value == now), "")
-        base_w = DRIVING_W[speed] if is_driving and speed else self._settings.standing_w
-        running = self._components.running
-        return base_w + sum(watts for name, watts in DRAW_W.items() if name in running)
-
-
-class _Components(NamedComponents):
-    """A component that has failed, or that the vehicle does not have, does not start."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.failed = set[str]()
-
-    def activate(self, component: str, /) -> None:
-        if component in self.failed or component not in (*DRAW_W, "base", NAVIGATOR):
-            raise MissionError(f"the simulated vehicle has no component {component} that works")
-        super().activate(component)
-
-    def orders(self, component: str) -> Mapping[str, Any]:
+    def _orders(self, component: str) -> Mapping[str, Any]:
         """Return the parameters of a component; none if it does not run."""
-        return self.taken.get(component, {}) if self.is_active(component) else {}
-
-    @property
-    def running(self) -> set[str]:
-        return self.active - self.failed
-
-    def is_active(self, component: str, /) -> bool:
-        return component in self.running
+        return self.parameters(component) if component in self.active else {}
 
 
-class AgvKind(WorldKind):
-    """Opens a building; the weights are those of the mission, to say why there was no plan."""
+class AgvKind(mission.WorldKind):
+    """Opens a building; `route` returns where the robot is and what is planned."""
 
     def __init__(
         self,
         building: Building,
-        weights: Mapping[str, float],
-        incidents: Sequence[Incident] = (),
+        route: Callable[[KnowledgeBase, Percepts], Route],
+        incidents: Sequence[Incident],
     ) -> None:
         self._building = building
-        self._weights = weights
-        self._incidents = tuple(incidents)
-        for incident in self._incidents:
-            building.check("corridor", incident.corridor, "an incident")
-            if incident.component not in ("", *DRAW_W):
-                known = ", ".join(DRAW_W)
-                raise MissionError(f"the vehicle has no {incident.component!r}; it has {known}")
+        self._route = route
+        self._incidents = incidents
 
     def settings(self) -> tuple[Setting, ...]:
         return declared(Settings)
@@ -359,10 +296,12 @@ class AgvKind(WorldKind):
     def verdict(
         self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase
     ) -> Verdict:
-        route = Route(self._building, kb, percepts, self._weights)
-        if route.is_there:
-            return Verdict("arrived", f"the robot is at {self._building.goal}")
-        if not route.answer.is_solved:
-            where = f"within {route.inside}" if route.inside else route.at
-            return Verdict("aborted", f"there is no way from {where}: {route.answer.reason}")
-        return Verdict("aborted", f"time ran out on the way from {route.at}")
+        route = self._route(kb, percepts)
+        name, inside, _ = route.place
+        answer = route.answer
+        if answer.cost is None:
+            where = f"within {inside}" if inside else name
+            return Verdict("aborted", f"there is no way from {where}: {answer.reason}")
+        if answer.legs:
+            return Verdict("aborted", f"time ran out on the way from {name}")
+        return Verdict("arrived", f"the robot is at {name}")

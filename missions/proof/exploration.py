@@ -17,7 +17,6 @@ from py_trees.composites import Sequence as SequenceNode
 from missions.proof.memory import Memory
 from missions.proof.rig import Answer, Rig, Step
 from missions.proof.setup import Fact, Facts, Setup
-from rosa_bt.requests import requests_of
 
 State = tuple[bytes, Facts, frozenset[str]]
 """The states of the tree and of the knowledge base, and what was brought about."""
@@ -38,8 +37,7 @@ class Situation:
 
     Attributes:
         state: of all that it consists of.
-        reached_by: the situation before it on the shortest way, and the round from there; None at
-            the beginning.
+        path: the fewest rounds that lead to it.
         required: the actions that are requested.
         feasible: the actions that could be requested.
         running: the actions of behaviours that run.
@@ -49,7 +47,7 @@ class Situation:
     """
 
     state: State
-    reached_by: "tuple[Situation, Step] | None"
+    path: Sequence[Step]
     required: tuple[str, ...]
     feasible: frozenset[str]
     running: set[str]
@@ -61,17 +59,6 @@ class Situation:
     def facts(self) -> Facts:
         """What the knowledge base is told and has decided."""
         return self.state[1]
-
-    @property
-    def path(self) -> list[Step]:
-        """The fewest rounds that lead to it."""
-        steps = []
-        reached_by = self.reached_by
-        while reached_by is not None:
-            before, step = reached_by
-            steps.append(step)
-            reached_by = before.reached_by
-        return steps[::-1]
 
 
 Wrong = tuple[str, Sequence[Step] | None]
@@ -98,13 +85,11 @@ class Exploration:
         self.unexplored: list[Situation] = []
         self.transitions = 0
         self.seconds = 0.0
-        requests = requests_of(rig.kb)
-        kept = [requests.open, requests.halting, requests.progress]
-        self._memory = Memory([rig.root, Blackboard.storage, rig.senses, *kept])
+        self._memory = Memory([rig.root, Blackboard.storage, rig.senses])
         self._situations: dict[State, Situation] = {}
         self.settled: dict[Facts, Facts] = {}
         self._ticks: dict[State, list[Round]] = {}
-        self._situation((self._memory.read(), rig.read(), frozenset()), None)
+        self._situation((self._memory.read(), rig.read(), frozenset()), ())
 
     def explore(self) -> "Exploration":
         """Explore, breadth first, until all is found, or as long as the setup says.
@@ -123,14 +108,9 @@ class Exploration:
         return self
 
     @property
-    def ends(self) -> list[Situation]:
-        """The situations in which the root has succeeded."""
-        return [situation for situation in self.situations if situation.has_succeeded]
-
-    @property
     def goals(self) -> set[Situation]:
         """The situations in which the goal is reached."""
-        return {situation for situation in self.ends if not self.misses(situation)}
+        return {each for each in self.situations if each.has_succeeded and not self.misses(each)}
 
     def misses(self, end: Situation) -> str:
         """Return in words why the success of the root is not that of the mission.
@@ -196,16 +176,16 @@ class Exploration:
         tree, present, deeds = situation.state
         seen: set[Facts] = set()
         for change, changed in self.rig.environment.changes(present):
-            facts = self._settle(changed, situation, Step(change))
+            facts = self._settle(changed, [*situation.path, Step(change)])
             if facts not in seen:
                 seen.add(facts)
                 state = (tree, facts, deeds)
                 if state not in self._ticks:
-                    self._ticks[state] = list(self._ticked(state, situation, change))
+                    self._ticks[state] = list(self._ticked(state, situation.path, change))
                 for each in self._ticks[state]:
                     yield each._replace(step=Step(change, each.step.answers))
 
-    def _ticked(self, state: State, before: Situation, change: Fact | None) -> Iterator[Round]:
+    def _ticked(self, state: State, path: Sequence[Step], change: Fact | None) -> Iterator[Round]:
         """Yield what may follow a tick in a state, for every combination of answers."""
         rig = self.rig
         scripts: list[tuple[Answer, ...]] = [()]
@@ -216,22 +196,22 @@ class Exploration:
             scripts += rig.others
             step = Step(change, rig.taken)
             tree = self._memory.read()
-            facts = self._settle(rig.read(), before, step)
+            facts = self._settle(rig.read(), [*path, step])
             self.transitions += 1
-            after = self._situation((tree, facts, rig.deeds), (before, step))
+            after = self._situation((tree, facts, rig.deeds), [*path, step])
             yield Round(step, late, after, rig.is_caused)
 
-    def _settle(self, facts: Facts, before: Situation, step: Step) -> Facts:
+    def _settle(self, facts: Facts, path: Sequence[Step]) -> Facts:
         """Let the manager take its turns until it rests; return the facts then."""
         if facts not in self.settled:
             self.rig.write(facts)
             faults = self.rig.settle()
             self.settled[facts] = self.rig.read()
             for fault in faults:
-                self.faults.setdefault(fault, [*before.path, step])
+                self.faults.setdefault(fault, path)
         return self.settled[facts]
 
-    def _situation(self, state: State, reached_by: tuple[Situation, Step] | None) -> Situation:
+    def _situation(self, state: State, path: Sequence[Step]) -> Situation:
         """Return the situation with a state; new ones are added."""
         if state not in self._situations:
             rig = self.load(state)
@@ -239,7 +219,7 @@ class Exploration:
             steps = [each for each in running if isinstance(each, SequenceNode) and each.memory]
             situation = Situation(
                 state,
-                reached_by,
+                path,
                 required=rig.required,
                 feasible=frozenset(name for name in rig.kb.actions if rig.kb.is_feasible(name)),
                 running=rig.running,

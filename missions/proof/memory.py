@@ -31,7 +31,7 @@ _FIXED: Final = (
 """Not part of the state: what cannot change, and the knowledge base, whose facts are read apart."""
 _IGNORED: Final = {
     *("iterator", "feedback_message", "finish_time", "plans", "_since", "_halting_since"),
-    *("last_event", "_planned", "asked"),
+    *("last_event", "_planned", "reasons", "advanced_at"),
 }
 """Attributes that decide nothing: texts, records, and times by a clock that stands still."""
 _FORGETFUL: Final = (Selector, Sequence, UntilSuccess, ForAction, DoUntilUnfeasible, SafeSwitch)
@@ -138,5 +138,5 @@ def _attributes(each: Any) -> dict[str, Any]:  # noqa: ANN401  # any object
 
 
 def _is_forgetful(behaviour: Behaviour) -> bool:
-    is_of_py_trees = type(behaviour).__module__ == Decorator.__module__
-    return type(behaviour) in _FORGETFUL or (is_of_py_trees and isinstance(behaviour, Decorator))
+    kind = type(behaviour)
+    return kind in _FORGETFUL or kind.__module__ == Decorator.__module__

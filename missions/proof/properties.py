@@ -46,9 +46,8 @@ def never(name: str, predicate: Predicate) -> Property:
     """Require that a predicate holds after no tick."""
 
     def find(explored: Exploration) -> Iterator[Wrong]:
-        for situation in explored.situations:
-            if predicate(explored.load(situation.state)):
-                yield "it is violated then", situation.path
+        for situation in _where(explored, predicate):
+            yield "it is violated then", situation.path
 
     return name, find
 
@@ -62,14 +61,18 @@ def leads_to(name: str, first: Predicate, then: Predicate) -> Property:
     """Require that `then` can still come to hold whenever `first` holds."""
 
     def find(explored: Exploration) -> Iterator[Wrong]:
-        situations = explored.situations
-        then_holds = [each for each in situations if then(explored.load(each.state))]
-        good = explored.reaching([*then_holds, *explored.unexplored])
-        for situation in explored.caused():
-            if situation not in good and first(explored.load(situation.state)):
+        good = explored.reaching([*_where(explored, then), *explored.unexplored])
+        bad = {*explored.caused()} - good
+        for situation in _where(explored, first):
+            if situation in bad:
                 yield "it cannot come about any more", situation.path
 
     return name, find
+
+
+def _where(explored: Exploration, predicate: Predicate) -> list[Situation]:
+    """Return the situations in which a predicate holds."""
+    return [each for each in explored.situations if predicate(explored.load(each.state))]
 
 
 def check(explored: Exploration) -> list[Finding]:
@@ -87,13 +90,11 @@ def check(explored: Exploration) -> list[Finding]:
 def notes(explored: Exploration) -> list[str]:
     """Return what is no mistake, but good to know."""
     rig = explored.rig
-    requesting = sorted({leaf.name for leaf in rig.requesting})
-    if requesting:
-        return [
-            f"{name} requests actions by itself: its requests are followed" for name in requesting
-        ]
+    what = "requests actions by itself: its requests are followed"
+    requesting = [f"{leaf.name} {what}" for leaf in rig.requesting]
     done = {node.action for node in rig.doing}
-    return [f"{name} is not done by this tree" for name in rig.kb.actions if name not in done]
+    others = [f"{name} is not done by this tree" for name in rig.kb.actions if name not in done]
+    return requesting or others
 
 
 def _unfeasible(explored: Exploration) -> Iterator[Wrong]:
@@ -127,7 +128,8 @@ def _ends_without(explored: Exploration) -> Iterator[Wrong]:
 
 def _stuck(explored: Exploration) -> Iterator[Wrong]:
     """Find a situation without an end while facts stay, though its stage has an end."""
-    good = explored.reaching([*explored.ends, *explored.unexplored], changes=[None])
+    ended = [situation for situation in explored.situations if situation.has_succeeded]
+    good = explored.reaching([*ended, *explored.unexplored], changes=[None])
     goals = explored.goals
     possible = {_stage(situation) for situation in explored.reaching(goals, changes=[None]) - goals}
     for situation in explored.situations:
@@ -144,9 +146,9 @@ def _stage(situation: Situation) -> tuple[object, ...]:
 
 def _dead(explored: Exploration) -> Iterator[Wrong]:
     """Find a situation in which nothing is required until the robot itself acts."""
-    active = [each for each in explored.situations if each.required]
-    goals = [*active, *explored.ends, *explored.unexplored]
-    alive = explored.reaching(goals, changes=explored.rig.environment.outside)
+    active = [each for each in explored.situations if each.required or each.has_succeeded]
+    outside = explored.rig.environment.outside
+    alive = explored.reaching([*active, *explored.unexplored], changes=outside)
     for situation in explored.situations:
         is_known = all(fact.value is not None for fact in situation.facts if fact.kind != "action")
         able = {
@@ -201,20 +203,16 @@ def _unreached(explored: Exploration) -> Iterator[Wrong]:
 def _missing(explored: Exploration) -> Iterator[Wrong]:
     """Find the actions of the tree, the designs and the configurations that never occur."""
     rig = explored.rig
-    expected = [("action", node.action) for node in rig.doing]
+    facts = {fact for facts in explored.settled.values() for fact in facts}
+    expected = {("action", node.action) for node in rig.doing}
     # without failures, what is there for them cannot occur; what leaves measure and choose neither
     if rig.setup.failures and not rig.environment.told:
-        selectable = (*rig.kb.designs.values(), *rig.kb.configurations.values())
-        expected += [(each.node.kind, each.name) for each in selectable]
-    facts = {fact for facts in explored.settled.values() for fact in facts}
-    occurring = {(fact.kind, fact.name) for fact in facts if fact.value not in (None, False)}
-    missing = [f"{kind} {name}" for kind, name in expected if (kind, name) not in occurring]
+        kinds = ("function design", "configuration")
+        expected |= {fact[:2] for fact in facts if fact.kind in kinds}
+    occurring = {fact[:2] for fact in facts if fact.value not in (None, False)}
+    missing = sorted(f"{kind} {name}" for kind, name in expected - occurring)
     if missing:
-        yield f"never: {', '.join(dict.fromkeys(missing))}", None
-
-
-def _mismanaged(explored: Exploration) -> Iterator[Wrong]:
-    yield from explored.faults.items()
+        yield f"never: {', '.join(missing)}", None
 
 
 CHECKS: Final[list[Property]] = [
@@ -227,6 +225,9 @@ CHECKS: Final[list[Property]] = [
     ("while nothing happens, the mission does not waver", _wavering),
     ("every node of the tree can be reached", _unreached),
     ("every adaptation of the model can occur", _missing),
-    ("the manager keeps to the model, and ends its plans", _mismanaged),
+    (
+        "the manager keeps to the model, and ends its plans",
+        lambda explored: iter(explored.faults.items()),
+    ),
 ]
 """What every mission must keep, and how a violation is found."""

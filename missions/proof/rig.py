@@ -18,7 +18,6 @@ from py_trees.common import Status
 from py_trees.composites import Selector
 
 from kb import ConfigurationManager, KnowledgeBase, UnknownName
-from kb.elements import AttributeKind
 from missions.engine.components import VERBS
 from missions.engine.mission import Condition
 from missions.proof.setup import Environment, Fact, Facts, Leaf, Senses, Setup, without_debouncing
@@ -26,6 +25,7 @@ from missions.testing.scripted import LETTERS, FakeClock, replace_work
 from rosa_bt import ForAction, RosaAction, TreeRunner
 from rosa_bt.behaviours import KbBehaviour
 from rosa_bt.composites import DoUntilUnfeasible
+from rosa_bt.decorators import Delay, Timed
 
 Answer = tuple[str, str]
 """The name of a leaf or time-out, and the letter of what it returned: R, S or F."""
@@ -94,7 +94,7 @@ class Rig:
             if says.answers:
                 self._take_over(leaf, says)
         for node in self.nodes:
-            if callable(getattr(node, "is_over", None)):
+            if isinstance(node, Timed):
                 self.letters[node.name] = "RS"
                 vars(node)["is_over"] = partial(self._is_over, node)
 
@@ -126,7 +126,7 @@ class Rig:
         if isinstance(leaf, Condition):
             return Leaf("FS")
         is_of_py_trees = type(leaf).__module__.startswith("py_trees.")
-        is_known = is_of_py_trees or isinstance(leaf, KbBehaviour) or hasattr(leaf, "is_over")
+        is_known = is_of_py_trees or isinstance(leaf, KbBehaviour | Timed)
         return Leaf("" if is_known else "RSF")
 
     def _restored(self, action: str) -> set[str]:
@@ -178,7 +178,7 @@ class Rig:
 
         A child that a delay has begun goes on.
         """
-        has_begun = type(node).__name__ == "Delay" and node.children[0].status is Status.RUNNING
+        has_begun = isinstance(node, Delay) and node.children[0].status is Status.RUNNING
         return has_begun or self._choose(node, "RS") == "S"
 
     # rounds
@@ -265,12 +265,8 @@ class Rig:
         """
         running = {node.action for node in self.doing if node.status is Status.RUNNING}
         if any(leaf.status is Status.RUNNING for leaf in self.requesting):
-            running |= set(self.required)
+            running.update(self.required)
         return running
-
-    def is_quality(self, attribute: str) -> bool:
-        """Return whether an attribute is of the robot, not of its surroundings."""
-        return self.kb.model.attributes[attribute].kind is AttributeKind.QUALITY
 
     def _instead(self, node: Behaviour) -> str:
         """Return the action whose success a node passes on in place of what it is for.
@@ -297,8 +293,8 @@ class Rig:
         actions = self.kb.actions
         limits = {limit.attribute for name in wanted for limit in actions[name].constraints}
         own = {limit.attribute for limit in actions[action].constraints}
-        freed = {name for name in limits - own if self.is_quality(name)}
-        return action not in wanted and bool(freed | (self._restored(action) & limits))
+        eased = (self.environment.qualities - own) | self._restored(action)
+        return action not in wanted and not eased.isdisjoint(limits)
 
 
 def acting(nodes: Iterable[Behaviour]) -> list[Any]:

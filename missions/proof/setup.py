@@ -17,7 +17,7 @@ from py_trees.common import Status
 
 from kb import Event, KnowledgeBase, Model, PriorityPlanner
 from kb import Planner as ConfigurationPlanner
-from kb.elements import Attribute, AttributeKind
+from kb.elements import Attribute, AttributeKind, Constraint
 from kb.status import OPERATORS
 from missions.engine.mission import Mission, MissionError, Percepts
 from missions.engine.task_layer import build_task, mission_domain
@@ -29,18 +29,22 @@ Predicates = frozenset[str]
 
 
 class Senses(Percepts):
-    """Percepts of which some hold, and that note which ones are asked for."""
+    """Percepts of which some hold."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.holding: Collection[str] = ()
-        self.asked: set[str] = set()
+    holding: Collection[str] = ()
 
     def holds(self, key: str) -> bool:
         """Return whether a key holds now."""
-        is_holding = key in self.holding
-        self.asked.add(key)
-        return is_holding
+        return key in self.holding
+
+
+class _AskedKeys(set[str]):
+    """The keys that were asked for so far, which hold from the second time on."""
+
+    def __contains__(self, key: object) -> bool:
+        is_known = super().__contains__(key)
+        self.add(str(key))
+        return is_known
 
 
 @dataclass(frozen=True)
@@ -100,15 +104,12 @@ class Setup:
 
         Empty if it may succeed before anything is done, or if that is not known.
         """
-        keys = set[str]()
-        senses.holding = keys
-        senses.asked = keys
+        senses.holding = keys = _AskedKeys()
         count = -1
         is_satisfiable = False
         while len(keys) > count:
             count = len(keys)
             is_satisfiable = leaf.update() is Status.SUCCESS
-        senses.asked = set()
         causes_by_key = {key: self._causes_of(key, kb, senses) for key in keys}
         senses.holding = [key for key in keys if not causes_by_key[key]]
         is_free = leaf.update() is Status.SUCCESS
@@ -154,6 +155,8 @@ def setup_of(mission: Mission, **options: Any) -> Setup:  # noqa: ANN401  # fiel
 
 # -------------------------------------------------------------------- what can happen
 
+Comparison = tuple[object, Constraint | Measurement]
+"""Who compares an attribute, and with what."""
 Signature = frozenset[object]
 """What a value violates: elements of the model, and comparisons of the tree."""
 
@@ -237,21 +240,20 @@ class Environment:
         bad: of each component the failure, of each attribute the value that violates most.
         outside: nothing, and the changes that are not up to the robot: what recovers, and what
             changes by itself.
+        qualities: the attributes of the robot that change, not of its surroundings.
     """
 
     def __init__(self, kb: KnowledgeBase, leaves: Iterable[Behaviour], setup: Setup) -> None:
-        compared: defaultdict[str, list[tuple[object, str, float]]] = defaultdict(list)
-        for constraint in kb.model.constraints:
-            for element in constraint.constrained:
-                comparison = (element, constraint.operator, constraint.value)
-                compared[constraint.attribute].append(comparison)
+        compared: defaultdict[str, list[Comparison]] = defaultdict(list)
+        for limit in kb.model.constraints:
+            compared[limit.attribute] += [(element, limit) for element in limit.constrained]
         self.told = set[str]()
         named = set[str]()
         for leaf in leaves:
             self.told |= {*getattr(leaf, "measures", ())}
             if isinstance(leaf, Measurement):
                 named.add(leaf.attribute.name)
-                compared[leaf.attribute.name].append((leaf, leaf.operator, leaf.value))
+                compared[leaf.attribute.name].append((leaf, leaf))
             if isinstance(leaf, HasStatus):
                 named.add(leaf.element.name)
         self._failures = setup.failures
@@ -260,6 +262,7 @@ class Environment:
         self.start: list[Fact] = []
         self.bad: list[Fact] = []
         self.outside: list[Fact | None] = [None]
+        self.qualities = set[str]()
         counts = Counter[object]()
         for name, part in kb.components.items():
             users = frozenset(each for each, of in kb.designs.items() if name in of.components)
@@ -295,8 +298,9 @@ class Environment:
             if attribute.max_age != inf:
                 facts.append(Fact("attribute", name, None))
             self._changes += facts
-            is_quality = attribute.kind is AttributeKind.QUALITY
-            if not is_quality or not all(rate.while_ for rate in attribute.rates):
+            if attribute.kind is AttributeKind.QUALITY:
+                self.qualities.add(name)
+            if name not in self.qualities or not all(rate.while_ for rate in attribute.rates):
                 self.outside += facts
 
     def changes(self, facts: Facts) -> Iterator[tuple[Fact | None, Facts]]:
@@ -308,18 +312,20 @@ class Environment:
                 yield change, tuple(change if fact[:2] == change[:2] else fact for fact in facts)
 
 
-def _values(
-    attribute: Attribute, compared: Sequence[tuple[object, str, float]]
-) -> dict[float, Signature]:
+def _values(attribute: Attribute, compared: Sequence[Comparison]) -> dict[float, Signature]:
     """Return values of an attribute, one for each possible signature, by how much they violate."""
-    limits = sorted({limit for _, _, limit in compared})
+    limits = sorted({limit.value for _, limit in compared})
     low = attribute.low if attribute.low > -inf else limits[0] - 2.0
     high = attribute.high if attribute.high < inf else limits[-1] + 2.0
     between = [(left + right) / 2 for left, right in pairwise([low, *limits, high])]
     values: dict[Signature, float] = {}
     for value in (*between, *limits):
-        violated = [who for who, how, limit in compared if not OPERATORS[how](value, limit)]
         if low <= value <= high:
-            values.setdefault(frozenset(violated), value)
+            violated = frozenset(
+                element
+                for element, limit in compared
+                if not OPERATORS[limit.operator](value, limit.value)
+            )
+            values.setdefault(violated, value)
     by_count = sorted(values.items(), key=lambda item: (len(item[0]), item[1]))
     return {value: signature for signature, value in by_count}

@@ -65,11 +65,11 @@ class Proof:
         from missions.views.recorder import Recorder
 
         goals = self.explored.goals
-        ways = [each.path for each in self.explored.caused() if each in goals]
         trails = [finding.trail for finding in self.broken if finding.trail is not None]
+        trails += [each.path for each in self.explored.caused() if each in goals]
         rig = Rig(self.explored.rig.setup)
         recorder = Recorder(rig.kb, rig.runner)
-        _replayed(rig, [*trails, *ways, []][0])
+        _replayed(rig, next(iter(trails), ()))
         recorder.close()
         recorder.report(str(page))
 
@@ -92,14 +92,12 @@ class Proof:
 
     def as_data(self) -> dict[str, Any]:
         """Return all of it as plain data for JSON."""
-        findings = []
-        for finding in self.findings:
-            lines = [line.strip() for line in self.story(finding.trail)]
-            findings.append({**vars(finding), "trail": lines})
         return {
             "finished": not self.explored.unexplored,
             "count": self.count,
-            "findings": findings,
+            "findings": [
+                {**vars(finding), "trail": self.story(finding.trail)} for finding in self.findings
+            ],
             "consequences": [consequence._asdict() for consequence in self.consequences],
             "notes": self.notes,
         }
@@ -149,8 +147,7 @@ def prove(setup: Setup, *, suggest: bool = False) -> Proof:
     is_broken = any(finding.holds is False for finding in findings)
     for text, mended in _mends(setup) if suggest and is_broken else ():
         if all(finding.holds for finding in check(Exploration(mended).explore())):
-            advice = {True: "", False: text, None: ""}
-            findings = [replace(each, advice=advice[each.holds]) for each in findings]
+            findings = [replace(each, advice="" if each.holds else text) for each in findings]
             break
     table = [_consequence(explored, bad) for bad in explored.rig.environment.bad]
     return Proof(explored, findings, table, notes(explored))
@@ -158,8 +155,7 @@ def prove(setup: Setup, *, suggest: bool = False) -> Proof:
 
 def _consequence(explored: Exploration, bad: Fact) -> Consequence:
     """Return what is reached with this fact; a quality that a deed restores need not last."""
-    parts = {bad.name} if bad.kind == "component" else set[str]()
-    alone = {each for each in explored.caused() if failed(each.facts) == parts}
+    alone = {each for each in explored.caused() if failed(each.facts) == failed((bad,))}
     within = {each for each in alone if bad in each.facts}
     rounds = explored.situations[0].rounds
     first = {each.after for each in rounds if each.step.change == bad and each.is_caused}
@@ -172,7 +168,7 @@ def _consequence(explored: Exploration, bad: Fact) -> Consequence:
         restoring = explored.reaching(explored.goals & alone, within=alone, changes=[None])
         for lowest in explored.rig.environment.bad:
             low = {each for each in alone if lowest in each.facts}
-            is_quality = lowest.kind == "attribute" and explored.rig.is_quality(lowest.name)
+            is_quality = lowest.name in explored.rig.environment.qualities
             if is_quality and lowest != bad and low and not low & restoring:
                 reaches = f"the goal as long as {lowest.name} lasts"
     elif reached:

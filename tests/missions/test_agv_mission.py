@@ -5,16 +5,15 @@ from dataclasses import replace
 
 import numpy
 import pytest
-from agv_worlds import building_from, generated_building
+from agv_worlds import generated_building
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from running import result, rosa_run
 
-from kb import KnowledgeBase
-from missions.agv import PAPER, WEIGHTS, Incident, agv_mission
-from missions.agv.joint import Modes
-from missions.agv.model import DRAW_W, NAVIGATOR, SPEEDS, building_model
-from missions.agv.tree import Route, Switch
+from kb import KnowledgeBase, UnknownName
+from missions.agv import PAPER, WEIGHTS, Incident, Weights, agv_mission
+from missions.agv.model import DRAW_W, NAVIGATOR, SPEEDS, Building, Corridor, building_model
+from missions.agv.tree import Route
 from missions.agv.vehicle import Aim, Vehicle, boxes
 from missions.agv.world import BuildingWorld, Settings
 from missions.engine.mission import MissionError, Percepts
@@ -25,19 +24,15 @@ from rosa_pddl import Planner, Problem
 from rosa_pddl.belief import Belief
 
 
-def straight(length_m=6.0, **corridor):
-    places = {"a": [0, 0], "b": [length_m, 0]}
-    corridors = {"c1": {"from": "a", "to": "b", **corridor}}
-    data = {"start": "a", "goal": "b", "places": places, "corridors": corridors}
-    return building_from(data)
+def straight(length_m=6.0, obstacles=0.0, light=1.0):
+    corridor = Corridor(("a", "b"), obstacles, light)
+    return Building({"a": (0.0, 0.0), "b": (length_m, 0.0)}, {"c1": corridor}, "a", "b")
 
 
-def with_dead_end(**corridor):
-    building = straight(**corridor)
-    corridors = {"c1": {"from": "a", "to": "b", **corridor}, "c2": {"from": "a", "to": "d"}}
-    places = {**building.places, "d": [0, 9]}
-    data = {"start": "a", "goal": "b", "places": places, "corridors": corridors}
-    return building_from(data)
+def with_dead_end(obstacles):
+    building = straight(obstacles=obstacles)
+    corridors = {**building.corridors, "c2": Corridor(("a", "d"))}
+    return replace(building, places={**building.places, "d": (0.0, 9.0)}, corridors=corridors)
 
 
 def run_in(building, task="bt", duration_s=60.0, incidents=(), **values):
@@ -67,7 +62,8 @@ def test_plan_and_architecture_change_together(task):
         [step.split(", ")[1] for step in plan["steps"] if step.startswith("cross")]
         for plan in data["plans"]
     ]
-    assert [len(route) for route in routes] == [1, 3, 2]
+    back = task == "pddl"  # a step of its own there
+    assert [len(route) for route in routes] == [1, 3 + back, 2]
     if task == "bt":
         assert second["change"] == "start lamp"
         for plan in data["plans"]:
@@ -78,9 +74,9 @@ def test_plan_and_architecture_change_together(task):
 @pytest.mark.parametrize(
     ("building", "values", "words"),
     [
-        (straight(), {"capacity_j": 20}, "within all limits: energy "),
+        (straight(), {"capacity_j": 20}, "the best way takes "),
         (
-            with_dead_end(obstacles=1.0),
+            with_dead_end(1.0),
             {"incidents": [Incident("c1", "kinect")]},
             "cannot be crossed",
         ),
@@ -105,7 +101,7 @@ def test_robot_changes_its_mode_where_it_turns_back(task):
     dark = replace(PAPER.corridors["c4"], light=0.0)
     building = replace(PAPER, corridors={**PAPER.corridors, "c4": dark})
     incidents = [Incident("c1", name) for name in ("kinect", "lidar")]
-    mission = agv_mission("small", "drives", building, {"time": 1.0, "energy": 0.2}, incidents)
+    mission = agv_mission("small", "drives", building, Weights(1.0, 0.2), incidents)
     world = mission.world.open({}, numpy.random.default_rng(0))
     run = rosa_run(mission, task, world, RunSettings(duration_s=300.0))
     assert run.run().outcome == "arrived"
@@ -128,16 +124,14 @@ def test_generated_building_is_driven_through_as_planned():
 
 
 @pytest.mark.parametrize(
-    ("values", "words"),
+    ("values", "error", "words"),
     [
-        ({"incidents": [Incident("c1", "radar")]}, "the vehicle has no 'radar'; it has amcl, "),
-        ({"incidents": [Incident("c9")]}, "an incident names the corridor 'c9', which map"),
-        ({"capacity_j": "much"}, "capacity_j is 'much'; allowed is a number from 1"),
-        ({"control_period_s": "0.015"}, "not a whole multiple"),
+        ({"incidents": [Incident("c9")]}, UnknownName, "unknown corridor 'c9'; known: 'c1'"),
+        ({"capacity_j": "much"}, MissionError, "capacity_j is 'much'; allowed is a number from 1"),
     ],
 )
-def test_world_setting_without_meaning_is_refused(values, words):
-    with pytest.raises(MissionError, match=words):
+def test_world_setting_without_meaning_is_refused(values, error, words):
+    with pytest.raises(error, match=words):
         run_in(straight(), **values)
 
 
@@ -171,40 +165,7 @@ def test_plan_of_steps_costs_what_the_joint_plan_costs(
     state = belief.observe()
     plan = Planner().plan(Problem(domain, state, None, belief.numbers))
     answer = Route(building, kb, percepts, WEIGHTS).answer
-    assert plan.outcome.is_solved is answer.is_solved
-    assert not answer.is_solved or plan.cost == answer.cost
-
-
-def test_names_of_a_map_never_clash_with_those_of_the_domain():
-    names = ["here", "now", "switch", "cross_c", "at", "action", "leads"]
-    places = {name: [float(number), 0.0] for number, name in enumerate(names)}
-    corridors = {"c": {"from": "here", "to": "now"}, "c_here": {"from": "now", "to": "switch"}}
-    corridors |= {f"d{n}": {"from": names[n], "to": names[n + 1]} for n in range(2, 6)}
-    data = {"start": "here", "goal": "leads", "places": places, "corridors": corridors}
-    mission = agv_mission("names", "drives", building_from(data))
-    domain = mission_domain(mission)
-    kb = KnowledgeBase(mission.model(), clock=lambda: 0.0)
-    belief = Belief(domain, kb, lambda: mission.facts(kb, Percepts()))
-    state = belief.observe()
-    assert Planner().plan(Problem(domain, state, None, belief.numbers)).outcome.is_solved
-
-
-def test_switch_ends_when_the_robot_is_configured_or_cannot_be():
-    building = straight()
-    kb = KnowledgeBase(building_model(building), clock=lambda: 0.0)
-    route = Route(building, kb, Percepts(), WEIGHTS)
-    mode = next(mode for mode in Modes(kb, "navigate").under({}) if mode.name == "amcl_lidar fast")
-    for is_active, ending, status in ((False, "failed", "FAILURE"), (True, "completed", "SUCCESS")):
-        switch = Switch(route, mode)
-        switch.tick_once()
-        plan = kb.pending_plan
-        assert (set(plan.activate), plan.parameters) == ({"amcl", "lidar", "base"}, ("fast",))
-        for name in plan.activate:
-            kb.component_active(name, is_active)
-        kb.finish_plan(plan, ending)
-        switch.tick_once()
-        assert switch.status.name == status
-        kb.select({}, {})
+    assert plan.cost == answer.cost
 
 
 # ---------------------------------------------------------------- the vehicle by itself
@@ -214,7 +175,7 @@ def started(building, components, **values):
     """Return a world in which some components drive the vehicle along c1."""
     texts = {name: str(value) for name, value in values.items()}
     world = BuildingWorld(building, Settings.read(texts), numpy.random.default_rng(0))
-    world.managed.set_parameters("base", {"speed": SPEEDS["fast"]})
+    world.managed.set_parameters("base", {"speed": SPEEDS["fast"].metres_per_second})
     world.managed.set_parameters(NAVIGATOR, {"corridor": "c1", "origin": "a"})
     for name in (*components, "base", NAVIGATOR):
         world.managed.activate(name)
@@ -228,18 +189,22 @@ def driven_after(world, seconds):
     return world.results()["driven_m"]
 
 
+def driven(vehicle, aim, seconds):
+    for _ in range(round(seconds * 10)):
+        vehicle.drive(aim)
+
+
 def test_wheels_drive_straight_turn_and_bump():
-    vehicle = Vehicle(straight(20.0), [(6.0, 0.0, 0.0)], (3.0, 0.0, 0.0), 0.01)
-    vehicle.drive(Aim(0.6, 0.0), 250)
+    vehicle = Vehicle(straight(20.0), [(6.0, 0.0, 0.0)], (3.0, 0.0, 0.0))
+    driven(vehicle, Aim(0.6, 0.0), 2.5)
     assert vehicle.position == pytest.approx((4.4, 0.0), abs=0.15)
     ahead = [x for x, y in vehicle.look("lidar") if abs(y) < 0.1]
     assert min(ahead) == pytest.approx(5.8 - vehicle.position[0], abs=0.05)
     assert vehicle.collisions == 0
-    vehicle.drive(Aim(0.6, 0.0), 500)
-    vehicle.drive(Aim(0.6, 0.0), 1)
+    driven(vehicle, Aim(0.6, 0.0), 5.0)
     assert vehicle.collisions >= 1
-    turning = Vehicle(straight(20.0), [], (3.0, 0.0, 0.0), 0.01)
-    turning.drive(Aim(0.0, 0.5), 200)
+    turning = Vehicle(straight(20.0), [], (3.0, 0.0, 0.0))
+    driven(turning, Aim(0.0, 0.5), 2.0)
     assert 0.6 < turning.yaw < 1.0  # less than an ideal one, for wide wheels scrub
 
 

@@ -44,7 +44,7 @@ def test_missions_are_listed_with_what_happens_in_them(rosa):
 @pytest.mark.parametrize(
     ("mission", "row"),
     [
-        ("agv", r"physics_step_s +0\.01 +s +from 0\.001 to 0\.01$"),
+        ("agv", r"capacity_j +20000 +J +from 1$"),
         ("uav", r"samples +7 +\S+ +from 1 to 7$"),
         ("suave_extended", r"discharge_time_s +200 s .*\n.*ROSA paper"),
     ],
