@@ -208,6 +208,12 @@ class KnowledgeBase:
         self._publisher = Publisher(self.log, self._lock)
         self._reading = Reading(self._lock, self._settled)
         self.forecast = Forecaster(self)
+        self.actions = views.Views(self, "actions", views.ActionView)
+        self.functions = views.Views(self, "functions", views.FunctionView)
+        self.components = views.Views(self, "components", views.ComponentView)
+        self.designs = views.Views(self, "designs", views.DesignView)
+        self.configurations = views.Views(self, "configurations", views.ConfigurationView)
+        self.attributes = views.Views(self, "attributes", views.AttributeView)
         if self.store is not None and not self.store.is_new:
             self._restore(self.store)
         elif model.facts:
@@ -239,12 +245,6 @@ class KnowledgeBase:
                 return status is not Status.UNFEASIBLE
         return Situation.is_feasible(self, action)
 
-    actions = views.ViewsOf(views.ActionView)
-    functions = views.ViewsOf(views.FunctionView)
-    components = views.ViewsOf(views.ComponentView)
-    designs = views.ViewsOf(views.DesignView)
-    configurations = views.ViewsOf(views.ConfigurationView)
-    attributes = views.ViewsOf(views.AttributeView)
     selectable_actions = Situation.selectable_actions
     selectable_designs = Situation.selectable_designs
     selectable_configurations = Situation.selectable_configurations
