@@ -184,8 +184,8 @@ def chain_of(
     def link(time: float, what: str, words: str, elements: Iterable[str] = ()) -> None:
         links.append({"t": time, "what": what, "words": words, "elements": list(elements)})
 
-    start = adaptation.news_s - 1e-9
-    causes = [event for event in events if event.number in adaptation.events]
+    start = adaptation.news.time - 1e-9
+    causes = [event for event in events if event.number in adaptation.news.events]
     for event in causes:
         link(event.time, "news", event.text, [_subject(event)])
         changes = _main_changes(event)
@@ -196,9 +196,9 @@ def chain_of(
             elements = [f"{change.kind} {change.name}" for change in changes]
             link(event.time, "status", words, elements)
     if not causes:
-        link(adaptation.news_s, "news", adaptation.trigger)
+        link(adaptation.news.time, "news", adaptation.trigger)
     for plan in reversed(task_plans):
-        is_for_it = not causes or plan.cause is None or plan.cause in adaptation.events
+        is_for_it = not causes or plan.cause is None or plan.cause in adaptation.news.events
         if start <= plan.at_s <= adaptation.at_s and is_for_it:
             steps = ", then ".join(dict.fromkeys(step.action or step.schema for step in plan.steps))
             is_solved = plan.outcome.is_solved

@@ -106,7 +106,7 @@ class Recorder:
         self._what_if = what_if
         self._own = None
         if header is None:
-            self._own = AdaptationLog(kb, self.adapted, lambda: self._task_plans)
+            self._own = AdaptationLog(kb, self.adapted)
         self._elements: dict[str, Node] = {}
         self._counts = Counter[str]()  # by track
         self._troubles: set[str] = set()
@@ -253,10 +253,11 @@ class Recorder:
 
     def ticked(self, planning: Iterable[Any]) -> None:
         """End a tick in which these behaviours may have made task plans."""
+        made = []
         for behaviour in planning:
             for plan in plans_after(self._last_plans.get(behaviour), behaviour.plans):
                 self._last_plans[behaviour] = plan
-                self._task_plans.append(plan)
+                made.append(plan)
                 steps = list(map(str, plan.steps))
                 level = "info" if plan.outcome.is_solved else "warning"
                 result = ", ".join(steps) or plan.message or plan.reason
@@ -267,6 +268,9 @@ class Recorder:
                     "steps": steps,
                 }
                 self.log("taskplan", level, words, plan.at_s, **more)
+        self._task_plans += made
+        if self._own is not None:
+            self._own.settle(made)
         if self._pose is not None and self.kb.now >= self._posed_at + POSE_PERIOD_S - 1e-9:
             self._posed_at = self.kb.now
             self.posed(self.kb.now, self._pose())
@@ -466,7 +470,7 @@ class RunRecorder(Listener):
     def adaptation(self, adaptation: Adaptation) -> None:
         self.recorder.adapted(adaptation)
 
-    def sample(self, sample: Sample) -> None:
+    def sample(self, sample: Sample | None) -> None:
         self._sample = sample
         self._show()
 
