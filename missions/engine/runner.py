@@ -471,10 +471,7 @@ class RosaRun(MissionRun):
 # ---------------------------------------------------------------- managers, and opening a run
 
 
-ManagerType = type[MissionRun]
-
-
-def find_manager(name: str | ManagerType, mission: Mission) -> ManagerType:
+def find_manager(name: str | type[MissionRun], mission: Mission) -> type[MissionRun]:
     """Return the class of a manager by its name, by "package:Class", or as the class itself.
 
     Raises:
@@ -497,7 +494,7 @@ def find_manager(name: str | ManagerType, mission: Mission) -> ManagerType:
 def open_run(
     mission: Mission,
     *,
-    manager: str | ManagerType = OURS,
+    manager: str | type[MissionRun] = OURS,
     task: str | None = None,
     seed: int = 0,
     settings: Mapping[str, str] | None = None,
