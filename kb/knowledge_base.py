@@ -139,15 +139,6 @@ class Reading:
     __exit__ = property(attrgetter("_lock.__exit__"))
 
 
-class _ModelObserver:
-    """Passes changes of the model on to a knowledge base, which its methods stand for."""
-
-    def __init__(self, prepare: Any, amended: Any, heard: Any) -> None:  # noqa: ANN401  # bound methods
-        self.prepare = prepare
-        self.amended = amended
-        self.heard = heard
-
-
 class KnowledgeBase:
     """What is known about a robot now, and what follows from it.
 
@@ -220,10 +211,7 @@ class KnowledgeBase:
             self._begin(model.facts, self._now)
         self.history = HistoryView(self._records, self.reading)
         self._ontology = Ontology(self)
-        self._observer = _ModelObserver(
-            self._catch_up_with_time, self._record_amendment, self._publish
-        )
-        model.watch(self._observer)
+        model.watch(self._follow_model)
         if self.store is not None:
             self.store.start(self.log, self._lock, self._snapshot, self._record_store_message)
             finalize(self, self.store.close)
@@ -888,8 +876,11 @@ class KnowledgeBase:
         self.log.append(Event(1, now, "begin", ()))
         self._revision = 1
 
-    def _record_amendment(self, change: elements.Amended) -> None:
+    def _follow_model(self, change: elements.Amended | None) -> None:
         """Record a change of the model, unless it is recorded already."""
+        if change is None:
+            self._catch_up_with_time()
+            return
         with self._lock:
             self._complete_event()
             if change is self._followed:
