@@ -8,7 +8,6 @@ is a relation.
 from kb import KnowledgeBase, Model
 from missions.agv.model import agv_model
 from missions.baselines import open_run
-from missions.baselines.manager import BaselineRun
 from missions.baselines.modes import FUNCTIONS, TreeManager
 from missions.engine.mission import Percepts, find_mission
 from missions.suave.model import suave_model
@@ -42,11 +41,11 @@ def count_tree(name: str) -> tuple[int, int]:
     """Return the nodes that the manager `bt` adds to a tree, and its modes with their values."""
     mission = find_mission(name)
     run = open_run(mission, manager="bt")
-    assert isinstance(run, BaselineRun)
+    assert isinstance(run, TreeManager)
     assert mission.tree is not None
     model = mission.model()
     task = mission.tree(KnowledgeBase(model), Percepts())
-    added = len(list(TreeManager(run.robot).root.iterate())) - len(list(task.iterate()))
+    added = len(list(run.root.iterate())) - len(list(task.iterate()))
     used = [modes for component, modes in FUNCTIONS.values() if component in model.components]
     values = sum(2 + len(mode.parameters) for modes in used for mode in modes.values())
     run.world.close()

@@ -29,7 +29,7 @@ from missions.engine.mission import (
     World,
     WorldKind,
 )
-from missions.engine.recording import failed, measured, sensed
+from missions.engine.percepts import failed, measured, sensed
 from missions.engine.settings import Constants, declared, setting
 from rosa_bt import RosaAction, do_until_unfeasible, feasible_then_act
 from rosa_bt.decorators import UntilSuccess

@@ -10,9 +10,9 @@ from typing import Final
 
 from kb import KnowledgeBase
 from missions import SUMMARIES
+from missions.agv import pddl
 from missions.agv.joint import Weights
 from missions.agv.model import PAPER, Building, building_model
-from missions.agv.pddl import PlanningState, problem
 from missions.agv.tree import Route, agv_tree
 from missions.agv.world import AgvKind, Incident
 from missions.engine.mission import Mission, Percepts
@@ -33,11 +33,8 @@ def agv_mission(
     """Make a mission of a map and what happens there."""
 
     @lru_cache(maxsize=8)  # takes time to make; the behaviours of a run share it
-    def state(kb: KnowledgeBase, percepts: Percepts) -> PlanningState:
-        return PlanningState(Route(building, kb, percepts, weights))
-
     def route(kb: KnowledgeBase, percepts: Percepts) -> Route:
-        return state(kb, percepts).route
+        return Route(building, kb, percepts, weights)
 
     def why_not(kb: KnowledgeBase, percepts: Percepts) -> str:
         answer = route(kb, percepts).answer
@@ -49,12 +46,12 @@ def agv_mission(
         model=partial(building_model, building),
         tree=lambda kb, percepts: agv_tree(route(kb, percepts)),
         domain=Path(__file__).with_name("domain.pddl"),
-        problem=partial(problem, building),
+        problem=partial(pddl.problem, building),
         actions={
-            "switch": lambda kb, percepts, step: state(kb, percepts).switch(step),
-            "cross": lambda kb, percepts, step: state(kb, percepts).cross(step),
+            "switch": lambda kb, percepts, step: pddl.switch(route(kb, percepts), step),
+            "cross": lambda kb, percepts, step: pddl.cross(route(kb, percepts), step),
         },
-        facts=lambda kb, percepts: state(kb, percepts).facts,
+        facts=lambda kb, percepts: pddl.facts(route(kb, percepts)),
         world=AgvKind(building, route, incidents),
         why_not=why_not,
         selects=True,

@@ -13,7 +13,7 @@ from math import inf
 from typing import Any, Final, NamedTuple
 
 from kb import KnowledgeBase, Model
-from missions.agv.model import BASE, NAVIGATE, Building, Corridor
+from missions.agv.model import BASE, DRAW_W, NAVIGATE, Building, Corridor
 from rosa_pddl.search import Move, cheapest, distances
 
 COLLISION_S: Final = 30.0
@@ -104,8 +104,7 @@ class Modes:
     def running(self) -> Setup:
         """How the robot is configured now."""
         components = self.kb.components
-        used = frozenset().union(*[mode.setup.components for mode in self.all])
-        active = frozenset(name for name in used if components[name].is_active)
+        active = frozenset(name for name in (*DRAW_W, BASE) if components[name].is_active)
         speed = components[BASE].selected_configuration if BASE in active else None
         return Setup(active, speed or "")
 
@@ -131,6 +130,7 @@ def crossing(mode: Mode, length_m: float, obstacles: float) -> Amounts:
     return Amounts(round(time_s * 1e3), round(time_s * mode.watts * 1e3), round(collisions * 1e6))
 
 
+@cache
 def switching(before: Setup, after: Setup) -> Amounts:
     """Return what a change takes: the robot stands, and switches one by one."""
     time_s = SWITCH_S * len(before.components ^ after.components)
@@ -218,7 +218,6 @@ class Task:
         self._modes = modes
         self._weights = weights
         self.legs = cache(self._legs)
-        self._switching = cache(self._read_switching)
 
     def plan(self) -> Answer:
         """Return the best plan, proven, or a proof that there is none with the reason."""
@@ -266,39 +265,26 @@ class Task:
         at, before = state
         for leg in self.legs(at):
             setup = leg.mode.setup
-            energy_mj, cost = self._switching(before, setup)
-            yield Move((leg.to, setup), leg.cost + cost, (leg.takes.energy + energy_mj,), leg)
+            switched = switching(before, setup)
+            energy_mj = leg.takes.energy + switched.energy
+            yield Move((leg.to, setup), leg.cost + self.cost(switched), (energy_mj,), leg)
 
     def is_goal(self, state: State) -> bool:
         return state[0] == self.building.goal
 
     def least(self, state: State) -> tuple[float, tuple[float]]:
-        """Return lower bounds of cost and energy from a state to the goal; 0 within a corridor."""
+        """Return lower bounds of cost and energy from a state to the goal."""
         costs, energies = self._bounds
-        at = state[0]
-        return (costs.get(at, inf), (energies.get(at, inf),)) if at else (0, (0,))
+        return costs.get(state[0], inf), (energies.get(state[0], inf),)
 
     @cached_property
     def _bounds(self) -> tuple[dict[str, float], dict[str, float]]:
-        """The least cost and energy from each place to the goal, without switching."""
-        costs: dict[tuple[str, str], float] = {}
-        energies: dict[tuple[str, str], float] = {}
-        for place in self.building.places:
-            for leg in self.legs(place):
-                way = place, leg.to
-                costs[way] = min(leg.cost, costs.get(way, inf))
-                energies[way] = min(leg.takes.energy, energies.get(way, inf))
+        """The least cost and energy from each place, without switching; 0 within a corridor."""
+        legs = [leg for place in self.building.places for leg in self.legs(place)]
         goals = [self.building.goal]
-        by_cost, by_energy = (
-            distances([(*way, least) for way, least in bounds.items()], goals)
-            for bounds in (costs, energies)
-        )
-        return by_cost, by_energy
-
-    def _read_switching(self, before: Setup, after: Setup) -> tuple[int, int]:
-        """Return the energy and the cost of a change."""
-        takes = switching(before, after)
-        return takes.energy, self.cost(takes)
+        costs = distances([(leg.origin, leg.to, leg.cost) for leg in legs], goals)
+        energies = distances([(leg.origin, leg.to, leg.takes.energy) for leg in legs], goals)
+        return {"": 0, **costs}, {"": 0, **energies}
 
     def _legs(self, at: str) -> list[Leg]:
         """Return a leg for each way and possible mode; within a corridor also back and on.

@@ -6,7 +6,7 @@ The vehicle has three ways to localise itself, three sensors, a lamp, and a base
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import Final
 
 from kb import Model
 from kb.elements import ByName
@@ -51,6 +51,7 @@ class Building:
 
     def __post_init__(self) -> None:
         places = ByName("place", self.places)
+        _ = places[self.start], places[self.goal]  # raises for a place that there is not
         corridors = ByName[Corridor]("corridor")
         for name, corridor in self.corridors.items():
             start, end = (places[place] for place in corridor.ends)
@@ -86,20 +87,15 @@ NAVIGATOR: Final = "navigator"
 BASE: Final = "base"
 
 
-class Speed(NamedTuple):
-    """A speed of the base [m/s], its power [W], and the collisions expected for each obstacle."""
-
-    metres_per_second: float
-    watts: float
-    mishaps: float
-
-
 SPEEDS: Final = {
-    "slow": Speed(0.24, 8.0, 0.002),
-    "medium": Speed(0.35, 11.0, 0.005),
-    "fast": Speed(0.68, 30.0, 0.02),
+    "slow": (0.24, 8.0, 0.002),
+    "medium": (0.35, 11.0, 0.005),
+    "fast": (0.68, 30.0, 0.02),
 }
-"""The speeds are those of the ROSA paper's source (Camara et al.), the other figures own choice."""
+"""Each speed of the base [m/s], its power [W], and the collisions expected for each obstacle.
+
+The speeds are those of the ROSA paper's source (Camara et al.), the other figures own choice.
+"""
 
 DRAW_W: Final = {
     "amcl": 3.0,
@@ -113,27 +109,23 @@ DRAW_W: Final = {
 """Power of each component while it runs [W]; own choice, of the order of such devices."""
 
 
-class Design(NamedTuple):
-    """An algorithm, its sensor and more, the error of the position [m], and collisions expected."""
-
-    components: tuple[str, ...]
-    error_m: float
-    mishaps: float
-
-
 UNLIT: Final = "aruco_camera"
 """The design that needs light in the corridor."""
 PRECISE: Final = "amcl_kinect"
 """The only design that is accurate enough among obstacles, as the paper says."""
 DESIGNS: Final = {
-    UNLIT: Design(("aruco", "camera"), 0.15, 0.05),
-    "aruco_camera_lamp": Design(("aruco", "camera", "lamp"), 0.15, 0.05),
-    PRECISE: Design(("amcl", "kinect"), 0.03, 0.004),
-    "amcl_lidar": Design(("amcl", "lidar"), 0.06, 0.01),
-    "mrpt_kinect": Design(("mrpt", "kinect"), 0.08, 0.02),
-    "mrpt_lidar": Design(("mrpt", "lidar"), 0.09, 0.025),
+    UNLIT: (("aruco", "camera"), 0.15, 0.05),
+    "aruco_camera_lamp": (("aruco", "camera", "lamp"), 0.15, 0.05),
+    PRECISE: (("amcl", "kinect"), 0.03, 0.004),
+    "amcl_lidar": (("amcl", "lidar"), 0.06, 0.01),
+    "mrpt_kinect": (("mrpt", "kinect"), 0.08, 0.02),
+    "mrpt_lidar": (("mrpt", "lidar"), 0.09, 0.025),
 }
-"""The pairs are the paper's, the figures our own choice."""
+"""The components of each design, first the algorithm, then the sensor; the error of the position
+[m]; and the collisions expected for each obstacle.
+
+The pairs are the paper's, the figures our own choice.
+"""
 OBSTRUCTED_PER_M: Final = 0.1
 """Obstacles per metre beyond which only one design is accurate enough."""
 NEEDED_LIGHT: Final = 0.3
@@ -160,11 +152,10 @@ def agv_model(actions: Iterable[str] = (NAVIGATE,)) -> Model:
     for component in DRAW_W:
         model.component(component, kind="lifecycle")
     base = model.component(BASE, kind="lifecycle")
-    for priority, (name, speed) in enumerate(SPEEDS.items(), start=1):
-        parameters = {"speed": speed.metres_per_second}
-        configuration = base.configuration(name, parameters, priority=priority)
-        configuration.estimate(energy, speed.watts, "negative")
-        configuration.estimate(safety, speed.mishaps, "negative")
+    for priority, (name, (speed, watts, mishaps)) in enumerate(SPEEDS.items(), start=1):
+        configuration = base.configuration(name, {"speed": speed}, priority=priority)
+        configuration.estimate(energy, watts, "negative")
+        configuration.estimate(safety, mishaps, "negative")
 
     navigate = model.function(NAVIGATE)
     for priority, (name, (components, error_m, mishaps)) in enumerate(DESIGNS.items(), start=1):
@@ -193,13 +184,9 @@ def building_model(building: Building) -> Model:
     driven = model.environmental_attribute("driven", unit="m")
     navigator = model.component(NAVIGATOR, kind="lifecycle")
     way = model.environmental_attribute("way")
-    for number, (corridor, origin) in enumerate(headings(building), start=1):
-        navigator.configuration(
-            heading(corridor, origin),
-            {"corridor": corridor, "origin": origin},
-            priority=number,
-            constraints=[way >= number, way <= number],
-        )
+    for number, (name, parameters) in enumerate(headings(building).items(), start=1):
+        constraints = [way >= number, way <= number]
+        navigator.configuration(name, parameters, priority=number, constraints=constraints)
     follow = model.function(FOLLOW)
     follow.design("by_navigator", [navigator], constraints=[driven >= 0.0])
     for name in building.corridors:
@@ -208,12 +195,15 @@ def building_model(building: Building) -> Model:
     return model
 
 
-def headings(building: Building) -> list[tuple[str, str]]:
-    """Return (corridor, origin) for every corridor and each of its two ends, in order."""
-    corridors = building.corridors.values()
-    return [(corridor.name, origin) for corridor in corridors for origin in corridor.ends]
-
-
 def heading(corridor: str, origin: str) -> str:
     """Return the name of the configuration for driving a corridor from one of its ends."""
     return f"{corridor}_from_{origin}"
+
+
+def headings(building: Building) -> dict[str, dict[str, str]]:
+    """Return the parameters of the navigator for every corridor from each of its two ends."""
+    return {
+        heading(corridor, origin): {"corridor": corridor, "origin": origin}
+        for corridor, part in building.corridors.items()
+        for origin in part.ends
+    }

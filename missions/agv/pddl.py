@@ -6,7 +6,7 @@ corridor, two ways lead from there to its ends, and the rest of it is what these
 """
 
 from collections.abc import Mapping
-from math import inf
+from functools import lru_cache
 from typing import Final
 
 from py_trees.common import Status
@@ -62,69 +62,57 @@ class Switch(RosaAction):
         return Status.RUNNING
 
 
-class PlanningState:
-    """What the plan executor knows: the facts of the PDDL problem, and the behaviours of steps."""
+def facts(route: Route) -> Mapping[str, bool | float]:
+    """Return what holds now and what it costs.
 
-    def __init__(self, route: Route) -> None:
-        self.route = route
-        self._modes = {pddl_name(mode): mode for mode in route.modes.all}
-        self._revision: tuple[int, int] | None = None
-        self._facts: Mapping[str, bool | float] = {}
+    Updated with `Route.revision`, not with every metre and joule.
+    """
+    return _facts(route, route.revision)
 
-    @property
-    def facts(self) -> Mapping[str, bool | float]:
-        """What holds now and what it costs.
 
-        Updated with `Route.revision`, not with every metre and joule.
-        """
-        if self._revision != self.route.revision:
-            self._revision = self.route.revision
-            self._facts = self._read()
-        return self._facts
+@lru_cache(maxsize=8)
+def _facts(route: Route, _: tuple[int, int]) -> Mapping[str, bool | float]:
+    task = route.task
+    at, running = task.start
+    # each question counts from what is left now
+    facts = {"(energy_used_mj)": 0.0, "(energy_left_mj)": 1e3 * min(task.energy_j, _PLENTY_J)}
+    for name in ("", *task.building.places):
+        facts[f"(at {name or 'within'})"] = name == at
+    setups = {pddl_name(mode): mode.setup for mode in route.modes.all}
+    configured = next((word for word in setups if setups[word] == running), "now")
+    for before, setup in {**setups, "now": running}.items():
+        facts[f"(configured {before})"] = before == configured
+        for after in setups:
+            takes = switching(setup, setups[after])
+            facts[f"(switching {before} {after})"] = task.cost(takes)
+            facts[f"(switching_energy {before} {after})"] = takes.energy
+    for corridor in task.building.corridors.values():
+        for to in corridor.ends:
+            way = f"{corridor.name}-{to}"
+            facts[f"(leads {way} within {to})"] = corridor.name == task.place.corridor
+            length_m, obstacles = task.stretch(corridor, to)
+            possible = route.modes.under(corridor.light, obstacles)
+            for mode in route.modes.all:
+                driving = f"{way} {pddl_name(mode)}"
+                # a way that led back to here ends now, whatever is possible further on
+                facts[f"(possible {driving})"] = mode in possible or to == at
+                takes = crossing(mode, length_m, obstacles)
+                facts[f"(crossing {driving})"] = task.cost(takes)
+                facts[f"(crossing_energy {driving})"] = takes.energy
+    return facts
 
-    def _read(self) -> Mapping[str, bool | float]:
-        task = self.route.task
-        place = task.place
-        at, running = task.start
-        energy_j = _PLENTY_J if task.energy_j == inf else task.energy_j
-        # each question counts from what is left now
-        facts: dict[str, bool | float] = {
-            "(energy_used_mj)": 0.0,
-            "(energy_left_mj)": energy_j * 1e3,
-        }
-        for name in ("", *task.building.places):
-            facts[f"(at {name or 'within'})"] = name == at
-        setups = {word: mode.setup for word, mode in self._modes.items()}
-        configured = next((word for word in setups if setups[word] == running), "now")
-        for before, setup in {**setups, "now": running}.items():
-            facts[f"(configured {before})"] = before == configured
-            for after in setups:
-                takes = switching(setup, setups[after])
-                facts[f"(switching {before} {after})"] = task.cost(takes)
-                facts[f"(switching_energy {before} {after})"] = float(takes.energy)
-        for corridor in task.building.corridors.values():
-            for to in corridor.ends:
-                way = f"{corridor.name}-{to}"
-                facts[f"(leads {way} within {to})"] = corridor.name == place.corridor
-                length_m, obstacles = task.stretch(corridor, to)
-                possible = self.route.modes.under(corridor.light, obstacles)
-                for word, mode in self._modes.items():
-                    # a way that led back to here ends now, whatever is possible further on
-                    facts[f"(possible {way} {word})"] = mode in possible or to == at
-                    takes = crossing(mode, length_m, obstacles)
-                    facts[f"(crossing {way} {word})"] = task.cost(takes)
-                    facts[f"(crossing_energy {way} {word})"] = float(takes.energy)
-        return facts
 
-    def cross(self, step: Step) -> Cross:
-        """Return the behaviour of a step that drives a way in a mode."""
-        _, way, _, _, word = step.arguments
-        task = self.route.task
-        for leg in task.legs(task.start[0]):
-            if f"{leg.corridor}-{leg.to}" == way and leg.mode is self._modes[word]:
-                break
-        return Cross(self.route, leg.corridor, lambda: leg)
+def cross(route: Route, step: Step) -> Cross:
+    """Return the behaviour of a step that drives a way in a mode."""
+    _, way, _, _, word = step.arguments
+    task = route.task
+    for leg in task.legs(task.start[0]):
+        if (f"{leg.corridor}-{leg.to}", pddl_name(leg.mode)) == (way, word):
+            break
+    return Cross(route, leg.corridor, lambda: leg)
 
-    def switch(self, step: Step) -> Switch:
-        """Return the behaviour of a step that changes to a mode."""
-        return Switch(self.route, self._modes[step.arguments[-1]])
+
+def switch(route: Route, step: Step) -> Switch:
+    """Return the behaviour of a step that changes to a mode."""
+    modes = [mode for mode in route.modes.all if pddl_name(mode) == step.arguments[-1]]
+    return Switch(route, modes[0])

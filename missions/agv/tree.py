@@ -91,15 +91,15 @@ class Route:
         """Changes with every fact and percept, but not as the robot drives on or draws energy."""
         return self.kb.revision, self._percepts.revision
 
-    def measure(self, light: float, obstacles: float, **more: float) -> None:
+    def measure(self, **demands: float) -> None:
         """Tell the knowledge base the demands, as measurements of attributes."""
-        for attribute, value in {"light": light, "obstacles": obstacles, **more}.items():
+        for attribute, value in demands.items():
             self.kb.measure(attribute, value)
 
     def measure_standing(self) -> None:
         """Measure no obstacles, and the light of the corridor; places are fully lit."""
         corridor = self.building.corridors.get(self.place.corridor)
-        self.measure(1.0 if corridor is None else corridor.light, 0.0)
+        self.measure(light=corridor.light if corridor else 1.0, obstacles=0.0)
 
 
 class Cross(RosaAction):
@@ -149,13 +149,13 @@ class Cross(RosaAction):
 
     def _follow(self, cause: int | None = None) -> None:
         leg = self._choose()
+        mode = leg.mode
+        navigator = heading(leg.corridor, leg.origin)
         if leg.to != self._to:
             self._to = leg.to
-            way = headings(self._route.building).index((leg.corridor, leg.origin)) + 1.0
-            self._route.measure(leg.light, leg.obstacles, way=way)
-        mode = leg.mode
+            way = [*headings(self._route.building)].index(navigator) + 1.0
+            self._route.measure(light=leg.light, obstacles=leg.obstacles, way=way)
         designs = {NAVIGATE: mode.design, FOLLOW: "by_navigator"}
-        navigator = heading(leg.corridor, leg.origin)
         configurations = {BASE: mode.setup.speed, NAVIGATOR: navigator}
         selected = [self.kb.designs[name].is_selected for name in designs.values()]
         selected += [self.kb.configurations[name].is_selected for name in configurations.values()]
@@ -167,9 +167,8 @@ class Cross(RosaAction):
 class FollowRoute(Composite):
     """Ticks the child for the corridor that is planned next; stops any other that runs.
 
-    SUCCESS at the goal; FAILURE when a corridor is crossed, and while there is no plan, with the
-    reason as feedback. `plans` holds the last joint plans, without those that are only the rest of
-    the one before.
+    SUCCESS at the goal, and FAILURE while there is no plan, with the reason as feedback. `plans`
+    holds the last joint plans, without those that are only the rest of the one before.
     """
 
     def __init__(self, route: Route) -> None:
@@ -195,11 +194,9 @@ class FollowRoute(Composite):
         self.feedback_message = answer.reason
         if planned is not None:
             yield from planned.tick()
-        if planned is not None and planned.status is Status.RUNNING:
             self.status = Status.RUNNING
         else:
-            is_there = planned is None and answer.cost is not None
-            self.stop(Status.SUCCESS if is_there else Status.FAILURE)
+            self.stop(Status.FAILURE if answer.cost is None else Status.SUCCESS)
         yield self
 
     def _note(self, answer: Answer) -> None:

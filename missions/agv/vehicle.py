@@ -127,19 +127,12 @@ def _turned_to(heading: float, speed: float) -> Aim:
     return Aim(speed * max(0.0, math.cos(error)) ** 3, turn)
 
 
-_RAY_STEP: Final = math.radians(4)
-
-
-def _rays(half: float, reach_m: float) -> tuple[Array, float]:
-    return np.linspace(-half, half, 2 * int(half / _RAY_STEP) + 1), reach_m
-
-
 SENSORS: Final = {
-    "lidar": _rays(math.radians(120), 8.0),
-    "kinect": _rays(math.radians(28.5), 4.0),
-    "camera": _rays(0.5, 2.0),
+    "lidar": (math.radians(120), 59, 8.0),
+    "kinect": (math.radians(28.5), 15, 4.0),
+    "camera": (0.5, 15, 2.0),
 }
-"""The rays [rad] within the angle of view, and the range [m] of each sensor; Kinect: its data
+"""Half of the angle of view [rad], the rays, and the range [m] of each sensor; Kinect: its data
 sheet, else own choice."""
 _MEMORY: Final = 30  # scans that it remembers; what it has passed is out of sight, but still there
 
@@ -151,10 +144,6 @@ class Vehicle:
         building: where it is; corridors are straight, between their places.
         placed: x, y [m] and yaw [rad] of each box in the way.
         pose: x, y [m] and yaw [rad] at the start.
-
-    Attributes:
-        position: X and y (2,) [m], world frame.
-        yaw: Heading [rad], from x to y.
     """
 
     def __init__(self, building: Building, placed: list[Pose], pose: Pose) -> None:
@@ -163,18 +152,29 @@ class Vehicle:
         self._mujoco: Any = mujoco
         self._model: Any = mujoco.MjModel.from_xml_string(scene_xml(building, placed, pose))
         self._data: Any = mujoco.MjData(self._model)
+        self._sensor = ""
         self._seen: deque[Array] = deque(maxlen=_MEMORY)
         self._touched = False
         self.collisions = 0
         mujoco.mj_forward(self._model, self._data)
-        self._stand()
+
+    @property
+    def position(self) -> Array:
+        """X and y (2,) [m], world frame."""
+        position: Array = self._data.qpos[:2].copy()
+        return position
+
+    @property
+    def yaw(self) -> float:
+        """The heading [rad], from x to y."""
+        w, i, j, k = self._data.qpos[3:7].tolist()
+        return math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
 
     def drive(self, aim: Aim) -> None:
         """Advance the physics by a period, with the wheel speeds of an aim."""
         aside = aim.turn * HALF_TRACK_M
         self._data.ctrl[:] = (aim.forward - aside) / WHEEL_M, (aim.forward + aside) / WHEEL_M
         self._mujoco.mj_step(self._model, self._data, STEPS)
-        self._stand()
         pairs = self._model.geom_group[self._data.contact.geom].tolist()
         touches = [1, 2] in pairs or [2, 1] in pairs  # the surroundings, and the vehicle
         self.collisions += touches and not self._touched
@@ -185,9 +185,12 @@ class Vehicle:
 
         Return what it sees or has seen lately near by, (n, 2) [m], vehicle's frame.
         """
-        offsets, reach_m = SENSORS[sensor]
-        angles = self.yaw + offsets
-        count = len(offsets)
+        if sensor != self._sensor:  # it knows only what this one has seen
+            self._sensor = sensor
+            self._seen.clear()
+        half, count, reach_m = SENSORS[sensor]
+        yaw = self.yaw
+        angles = yaw + np.linspace(-half, half, count)
         rays = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(count)])
         origin = np.array([*self.position.tolist(), 0.2])
         hit = np.zeros(count, dtype=np.int32)
@@ -201,17 +204,7 @@ class Vehicle:
         self._seen.append(origin[:2] + rays[is_hit, :2] * far[is_hit, None])
         apart = np.concatenate(self._seen) - self.position
         near = apart[np.hypot(apart[:, 0], apart[:, 1]) < 2.0]
-        cos = math.cos(self.yaw)
-        sin = math.sin(self.yaw)
+        cos = math.cos(yaw)
+        sin = math.sin(yaw)
         local: Array = near @ np.array([[cos, -sin], [sin, cos]])
         return local
-
-    def forget(self) -> None:
-        """Forget what was seen, because another sensor takes over."""
-        self._seen.clear()
-
-    def _stand(self) -> None:
-        x, y, _, *turned = self._data.qpos.tolist()[:7]
-        w, i, j, k = turned
-        self.position: Array = np.array((x, y))
-        self.yaw = math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))

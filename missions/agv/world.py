@@ -61,6 +61,8 @@ class BuildingWorld(NamedComponents, mission.World):
     All chance comes from `rng`.
     """
 
+    now = 0.0
+
     def __init__(
         self,
         building: Building,
@@ -100,11 +102,6 @@ class BuildingWorld(NamedComponents, mission.World):
         self._say("QA measurement", "energy", repr(self._energy_j))
 
     @property
-    def now(self) -> float:
-        """Time since the start [s]."""
-        return self._ticks * PERIOD_S
-
-    @property
     def managed(self) -> SimulatedComponents:
         return self._managed
 
@@ -136,9 +133,8 @@ class BuildingWorld(NamedComponents, mission.World):
         }
 
     def sample(self) -> Sample:
-        x, y = self._vehicle.position
         signals = {"light [-]": self._light_here, "speed set [m/s]": self._speed}
-        return Sample(self.now, (float(x), float(y), 0.0), signals)
+        return Sample(self.now, (*self._vehicle.position.tolist(), 0.0), signals)
 
     def disturbances(self) -> list[tuple[float, str]]:
         return list(self._happened)
@@ -153,14 +149,15 @@ class BuildingWorld(NamedComponents, mission.World):
 
     def _step(self) -> None:
         self._ticks += 1
+        self.now = self._ticks * PERIOD_S
         before = self._vehicle.position
         self._take_orders()
         aim = self._aim()
         self._vehicle.drive(aim)
         base_w = STANDING_BASE_W
-        for speed in SPEEDS.values():
-            if aim is not _STAND and speed.metres_per_second == self._speed:
-                base_w = speed.watts
+        for speed, watts, _ in SPEEDS.values():
+            if aim is not _STAND and speed == self._speed:
+                base_w = watts
         draws_w = base_w + sum(watts for name, watts in DRAW_W.items() if name in self.active)
         self._energy_j = max(0.0, self._energy_j - draws_w * PERIOD_S)
         driven_m = math.dist(before, self._vehicle.position)
@@ -185,11 +182,8 @@ class BuildingWorld(NamedComponents, mission.World):
         self._way = [to] if is_on_it else [origin, to]
 
     def _aim(self) -> Aim:
-        sensor, error_m = self._seeing()
-        if sensor != self._sensor:
-            self._sensor = sensor
-            self._vehicle.forget()
-        if not sensor or not self._way or self._speed == 0.0 or self._energy_j == 0.0:
+        self._sensor, error_m = self._seeing()
+        if not self._sensor or not self._way or self._speed == 0.0 or self._energy_j == 0.0:
             return _STAND
         target = np.array(self._building.places[self._way[0]])
         believed = self._vehicle.position + self._drift(error_m)
@@ -198,14 +192,14 @@ class BuildingWorld(NamedComponents, mission.World):
         start = np.array(self._building.places[origin])
         to = aim_along(believed, start, target) - believed
         bearing = math.remainder(math.atan2(to[1], to[0]) - self._vehicle.yaw, math.tau)
-        return steer(bearing, self._vehicle.look(sensor), self._speed)
+        return steer(bearing, self._vehicle.look(self._sensor), self._speed)
 
     def _seeing(self) -> tuple[str, float]:
         """Return the sensor by which it localises itself, empty if it cannot, and its error [m]."""
-        for name, design in DESIGNS.items():
+        for name, (components, error_m, _) in DESIGNS.items():
             sees = name != UNLIT or self._light_here >= NEEDED_LIGHT
-            if sees and self.active.issuperset((*design.components, BASE, NAVIGATOR)):
-                return design.components[1], design.error_m
+            if sees and self.active.issuperset((*components, BASE, NAVIGATOR)):
+                return components[1], error_m
         return "", 0.0
 
     def _drift(self, error_m: float) -> Array:
@@ -238,7 +232,6 @@ class BuildingWorld(NamedComponents, mission.World):
             self.active.discard(name)
             self._managed.script(name, "activate", fail_first=math.inf)
             self._say("component status", name, "failure")
-            self._say(MISSION_STATUS, text, "true")
         else:
             light = f"light in {incident.corridor}"
             text = f"{light} goes out"
@@ -274,29 +267,24 @@ class BuildingWorld(NamedComponents, mission.World):
         return self.parameters(component) if component in self.active else {}
 
 
+@dataclass(frozen=True)
 class AgvKind(mission.WorldKind):
     """Opens a building; `route` returns where the robot is and what is planned."""
 
-    def __init__(
-        self,
-        building: Building,
-        route: Callable[[KnowledgeBase, Percepts], Route],
-        incidents: Sequence[Incident],
-    ) -> None:
-        self._building = building
-        self._route = route
-        self._incidents = incidents
+    building: Building
+    route: Callable[[KnowledgeBase, Percepts], Route]
+    incidents: Sequence[Incident]
 
     def settings(self) -> tuple[Setting, ...]:
         return declared(Settings)
 
     def open(self, values: Mapping[str, Any], rng: Generator) -> BuildingWorld:
-        return BuildingWorld(self._building, Settings.read(values), rng, self._incidents)
+        return BuildingWorld(self.building, Settings.read(values), rng, self.incidents)
 
     def verdict(
         self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase
     ) -> Verdict:
-        route = self._route(kb, percepts)
+        route = self.route(kb, percepts)
         name, inside, _ = route.place
         answer = route.answer
         if answer.cost is None:

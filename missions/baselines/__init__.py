@@ -1,6 +1,6 @@
-"""The managers that ours is compared with, and the base classes of your own."""
+"""The managers that ours is compared with, and the base classes for your own."""
 
-from missions.baselines.manager import Manager, Robot
+from missions.baselines.manager import Manager
 from missions.baselines.policies import Policy
 from missions.engine.mission import SEA_MANAGERS as MANAGERS
 from missions.engine.runner import OURS, POLICIES, find_manager, open_run
@@ -12,7 +12,6 @@ __all__ = [
     "OURS",
     "POLICIES",
     "Policy",
-    "Robot",
     "Setting",
     "find_manager",
     "open_run",

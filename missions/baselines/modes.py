@@ -21,7 +21,8 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
 
-from missions.baselines.manager import Manager, Robot
+from missions.baselines.manager import Manager
+from missions.engine.components import SimulatedComponents
 from missions.engine.mission import Condition
 from missions.engine.settings import Setting
 
@@ -67,8 +68,8 @@ FUNCTIONS: Final[Mapping[str, tuple[str, Mapping[str, Mode]]]] = {
 class SystemModes:
     """Switches components by the modes of their functions."""
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+    def __init__(self, managed: SimulatedComponents) -> None:
+        self._managed = managed
         self._requested: dict[str, str] = {}
 
     def request(self, function: str, mode: str) -> None:
@@ -81,18 +82,18 @@ class SystemModes:
         wanted = modes[mode]
         self._requested[function] = mode
         if wanted.parameters and had.parameters != wanted.parameters:
-            self._robot.set_parameters(component, wanted.parameters)
+            self._managed.set_parameters(component, wanted.parameters)
         if wanted.active and not had.active:
-            self._robot.activate(component)
+            self._managed.activate(component)
         elif had.active and not wanted.active:
-            self._robot.deactivate(component)
+            self._managed.deactivate(component)
 
     def is_in(self, function: str, mode: str) -> bool:
         """Tell whether a component is as a mode wants it; several modes may want the same."""
         component, modes = FUNCTIONS[function]
         wanted = modes[mode]
-        parameters = self._robot.parameters(component)
-        return wanted.active == self._robot.is_active(component) and all(
+        parameters = self._managed.parameters(component)
+        return wanted.active == self._managed.is_active(component) and all(
             parameters.get(key) == value for key, value in wanted.parameters.items()
         )
 
@@ -107,9 +108,9 @@ MODES = {
 class ModesManager(Manager):
     """A manager that requests modes; it ungrounds the function of a task when the task ends."""
 
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(robot)
-        self.modes = SystemModes(robot)
+    def setup(self) -> None:
+        super().setup()
+        self.modes = SystemModes(self.managed)
 
     def end(self, task: str) -> None:
         self.modes.request(MODES[task][0], UNGROUND)
@@ -133,15 +134,15 @@ class RandomManager(ModesManager):
     It may be the one that stops it.
     """
 
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(robot)
-        self.period_s = PERIODS_S[robot.settings.rules]
+    @property
+    def period_s(self) -> float:
+        return PERIODS_S[self.constants.rules]
 
     def update(self) -> None:
-        if self.robot.task is not None:
-            function, _ = MODES[self.robot.task]
+        if self.doing is not None:
+            function, _ = MODES[self.doing]
             modes = list(FUNCTIONS[function][1])
-            self.modes.request(function, modes[self.robot.rng.integers(len(modes))])
+            self.modes.request(function, modes[self.rng.integers(len(modes))])
 
 
 class TreeManager(ModesManager):
@@ -152,14 +153,17 @@ class TreeManager(ModesManager):
 
     decides_tasks = True
 
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(robot)
-        self.period_s = robot.settings.tree_period_s
+    @property
+    def period_s(self) -> float:
+        return self.constants.tree_period_s
+
+    def setup(self) -> None:
+        super().setup()
         self.root = _tree(self)
 
     @property
     def is_done(self) -> bool:
-        return self.robot.percepts.count("pipeline_inspected") > 0
+        return self.percepts.count("pipeline_inspected") > 0
 
     def update(self) -> None:
         self.root.tick_once()
@@ -185,28 +189,26 @@ class _Do(Behaviour):
     def __init__(self, manager: ModesManager, task: str, until: str) -> None:
         super().__init__(task)
         self._manager = manager
-        self._robot = manager.robot
         self._until = until
         self._before = 0
 
     def initialise(self) -> None:
-        self._robot.begin(self.name)
-        self._before = self._robot.percepts.count(self._until)
+        self._manager.begin_task(self.name)
+        self._before = self._manager.percepts.count(self._until)
 
     def update(self) -> Status:
-        is_done = self._robot.percepts.count(self._until) > self._before
+        is_done = self._manager.percepts.count(self._until) > self._before
         return Status.SUCCESS if is_done else Status.RUNNING
 
     def terminate(self, new_status: Status) -> None:
         if self.status is Status.RUNNING or new_status is Status.SUCCESS:
-            self._robot.end("completed" if new_status is Status.SUCCESS else "abandoned")
+            self._manager.end_task("completed" if new_status is Status.SUCCESS else "abandoned")
             if self.name in MODES:
                 self._manager.end(self.name)
 
 
 def _tree(manager: ModesManager) -> Behaviour:
-    robot = manager.robot
-    measured = robot.measured
+    measured = manager.measured
 
     def request(function: str, mode: str) -> Behaviour:
         return _Request(manager.modes, function, mode)
@@ -225,7 +227,7 @@ def _tree(manager: ModesManager) -> Behaviour:
         return bool(np.float32(measured.get("battery_level", 1.0)) >= LOW_LEVEL)
 
     works = Condition(
-        "all thrusters ok?", lambda: {"RECOVERED", "OK"}.issuperset(robot.reported.values())
+        "all thrusters ok?", lambda: {"RECOVERED", "OK"}.issuperset(manager.reported.values())
     )
     ways = [
         sequence("thrusters ok", works, request(MOTION, "fd_all_thrusters")),
@@ -237,7 +239,7 @@ def _tree(manager: ModesManager) -> Behaviour:
         altitude("fd_spiral_low", 1.25),
     ]
     find = [
-        Condition("found?", lambda: robot.percepts.count("pipeline_found") > 0),
+        Condition("found?", lambda: manager.percepts.count("pipeline_found") > 0),
         sequence(
             "search",
             Selector("altitude", memory=False, children=altitudes),
@@ -349,9 +351,12 @@ class Metacontrol(ModesManager):
         ),
     )
 
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(robot)
-        self.period_s = robot.options["reasoning_period_s"]
+    @property
+    def period_s(self) -> float:
+        return float(self.values["reasoning_period_s"])
+
+    def setup(self) -> None:
+        super().setup()
         self._objectives: tuple[str, ...] = ()
         self._grounded: dict[str, Design] = {}
         self._failed: frozenset[str] = frozenset()
@@ -375,14 +380,14 @@ class Metacontrol(ModesManager):
             self._reason()
 
     def _reason(self) -> None:
-        reported = self.robot.reported.items()
+        reported = self.reported.items()
         failed = frozenset(name for name, word in reported if word in ("FALSE", "ERROR"))
         self._recovered |= not self._failed <= failed
         self._failed = failed
         served = self._grounded.items()
         amiss = frozenset(name for name, each in served if not self.modes.is_in(name, each.name))
         situation = _Situation(
-            dict(self.robot.measured),
+            dict(self.measured),
             failed,
             dict(self._grounded),
             amiss,
@@ -390,7 +395,7 @@ class Metacontrol(ModesManager):
             self._errors,
             self._recovered,
         )
-        self.robot.later(self.robot.options["reasoning_s"], lambda: self._act(situation))
+        self.later(self.values["reasoning_s"], lambda: self._act(situation))
 
     def _act(self, seen: _Situation) -> None:
         """Request what the pass has found, then reason again if it has inferred something new."""

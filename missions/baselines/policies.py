@@ -1,52 +1,28 @@
 """Managers to compare ours with in any mission: only the configuration is theirs."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Self
 
 from kb import DiagnosticProblem, KnowledgeBase, Model, ReconfigurationPlan, Status
 from kb.diagnostics import COMPONENT_REPORTS
 from kb.planning import by_priority
 from kb.views import ConfigurationView, DesignView
 from missions.engine.percepts import Message
-from missions.engine.runner import ManagerBase, Opening, RosaRun
+from missions.engine.runner import RosaRun
 from missions.engine.settings import MissionError, Setting
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
 
 Part = DesignView | ConfigurationView
 
 
-class Policy(ManagerBase):
-    """Chooses designs and configurations in any mission; run as `--manager package:Class`.
+class Policy(RosaRun):
+    """Chooses designs and configurations in any mission; run as `--manager package:Class`."""
 
-    Attributes:
-        options: settings that can be set from outside; their values are in `values`.
-        tasks: names of the task layers that it goes with.
-        model: the model with the designs and configurations to choose from.
-        rng: random generator, its only source of chance.
-    """
-
-    run: ClassVar[type[RosaRun]] = RosaRun
     is_waiting = True  # it may choose again only because time has passed
 
-    def __init__(self, model: Model, rng: "Generator", values: Mapping[str, Any]) -> None:
-        self.model = model
-        self.rng = rng
-        self.values = values
-
-    @classmethod
-    def open(cls, opening: Opening) -> RosaRun:
-        policy = cls(opening.mission.model(), opening.rng, opening.options)
-        return cls.run(
-            opening.mission,
-            opening.task,
-            opening.world,
-            opening.settings,
-            opening.manager,
-            policy,
-        )
+    @property
+    def planner(self) -> Self:  # type: ignore[override]  # read-only here
+        return self
 
     def pick(
         self, kb: KnowledgeBase, possible: Sequence[Part], selected: Part | None
@@ -95,29 +71,17 @@ class Fixed(Policy):
     """Keeps its choice for an action until the action ends; only the task layer adapts."""
 
 
-class _DeafRun(RosaRun):
-    """A run that hears of no failure."""
-
-    def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
-        statuses = message["status"]
-        heard = [each for each in statuses if each["message"].casefold() not in COMPONENT_REPORTS]
-        return super().receive({**message, "status": heard})
-
-
 class Unmanaged(Fixed):
     """Configures each action once, and ignores measurements and failures: nothing adapts."""
 
-    run = _DeafRun
+    def build_model(self) -> Model:
+        rows = super().build_model().plain()
+        return Model.from_plain([row for row in rows if row[0] != "constraint"])
 
-    @classmethod
-    def open(cls, opening: Opening) -> RosaRun:
-        mission = opening.mission
-
-        def unconstrained() -> Model:
-            rows = mission.model().plain()
-            return Model.from_plain([row for row in rows if row[0] != "constraint"])
-
-        return super().open(opening._replace(mission=replace(mission, model=unconstrained)))
+    def hear(self, message: Message) -> Sequence[DiagnosticProblem]:
+        statuses = message["status"]
+        heard = [each for each in statuses if each["message"].casefold() not in COMPONENT_REPORTS]
+        return super().hear({**message, "status": heard})
 
 
 class Random(Policy):
@@ -134,16 +98,17 @@ class Random(Policy):
         ),
     )
 
-    def __init__(self, model: Model, rng: "Generator", values: Mapping[str, Any]) -> None:
-        super().__init__(model, rng, values)
-        self._turn = 0
-        self._is_due = False
-        self._phase = float(rng.random())
+    _period = 0
+    _is_due = False
+
+    @cached_property
+    def _phase(self) -> float:
+        return float(self.rng.random())
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
-        turn = int(kb.now / self.values["period_s"] + self._phase)
-        self._is_due = turn != self._turn
-        self._turn = turn
+        period = int(kb.now / self.values["period_s"] + self._phase)
+        self._is_due = period != self._period
+        self._period = period
         return super().plan(kb)
 
     def pick(

@@ -22,7 +22,7 @@ from kb import (
     PriorityPlanner,
     ReconfigurationPlan,
 )
-from missions.baselines.manager import Manager, Robot
+from missions.baselines.manager import Manager
 from missions.engine.mission import Message, Percepts
 from missions.engine.settings import Setting
 from missions.engine.task_layer import build_task
@@ -48,16 +48,16 @@ class OwnTree(Manager):
 
     decides_tasks = True
 
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(robot)
-        self.kb = KnowledgeBase(robot.mission.model(), clock=lambda: robot.now)
-        self.percepts = Percepts()
-        self._stop = self.kb.subscribe(self._hear)
-        self.runner = TreeRunner(self.tree(), clock=lambda: robot.now, period=self.period_s)
+    def setup(self) -> None:
+        super().setup()
+        self.base = KnowledgeBase(self.model, clock=lambda: self.now)
+        self.seen = Percepts()
+        self._stop = self.base.subscribe(self._hear)
+        self.runner = TreeRunner(self.build(), clock=lambda: self.now, period=self.period_s)
         self.runner.tree.setup()
 
-    def tree(self) -> Behaviour:
-        return build_task("bt", self.robot.mission, self.kb, self.percepts).root
+    def build(self) -> Behaviour:
+        return build_task("bt", self.mission, self.base, self.seen).root
 
     @property
     def is_done(self) -> bool:
@@ -66,7 +66,8 @@ class OwnTree(Manager):
     def update(self) -> None:
         self.runner.tick()
 
-    def close(self) -> None:
+    def release(self) -> None:
+        super().release()
         self._stop()
         self.runner.shutdown()
 
@@ -75,12 +76,14 @@ class OwnTree(Manager):
         if event.kind is not EventKind.ACTION_UPDATE:
             return
         record = next(
-            action for action in reversed(self.kb.history.actions) if action.action == event.subject
+            action
+            for action in reversed(self.base.history.actions)
+            if action.action == event.subject
         )
         if record.end is None:
-            self.robot.begin(record.action)
+            self.begin_task(record.action)
         else:
-            self.robot.end(str(record.result), record.reason)
+            self.end_task(str(record.result), record.reason)
         self.requested()
 
     def requested(self) -> None:
@@ -101,15 +104,16 @@ class RosaManager(OwnTree):
         ),
     )
 
-    def __init__(self, robot: Robot) -> None:
-        self._service_s = robot.options["service_s"]
-        self.period_s = (
-            robot.settings.tree_period_s + self._service_s
-        )  # each tick asks whether an action is feasible
-        super().__init__(robot)
+    @property
+    def period_s(self) -> float:  # each tick asks whether an action is feasible
+        return self.constants.tree_period_s + self._service_s
+
+    def setup(self) -> None:
+        self._service_s = float(self.values["service_s"])
+        super().setup()
         self._planner = PriorityPlanner()
         self._manager = ConfigurationManager(
-            self.kb, robot, planner=self._planner
+            self.base, self.managed, planner=self._planner
         )  # only for dry runs
         self._asked = 0
         self._is_busy = False
@@ -121,13 +125,13 @@ class RosaManager(OwnTree):
         self._after(REQUESTING, self._ask_for_round)
 
     def _after(self, calls: int, what: Callable[[], None]) -> None:
-        self.robot.later(calls * self._service_s, what)
+        self.later(calls * self._service_s, what)
 
     def _insert(self, message: Message) -> None:
-        self.percepts.receive(message)
-        before = self.kb.revision
-        self.kb.receive(message)
-        if self.kb.revision != before and self._manager.dry_run() is not None:
+        self.seen.receive(message)
+        before = self.base.revision
+        self.base.receive(message)
+        if self.base.revision != before and self._manager.dry_run() is not None:
             self._ask_for_round()
 
     def _ask_for_round(self) -> None:
@@ -145,7 +149,7 @@ class RosaManager(OwnTree):
         Each of those gets a round of its own.
         """
         self._asked -= 1
-        plan = None if self._asked else self._planner.plan(self.kb)
+        plan = None if self._asked else self._planner.plan(self.base)
         if plan is not None:
             self._after(FETCHING, lambda: self._switch(plan))
         else:
@@ -153,8 +157,8 @@ class RosaManager(OwnTree):
 
     def _switch(self, plan: ReconfigurationPlan) -> None:
         for names, switch in (
-            (plan.deactivate, self.robot.deactivate),
-            (plan.activate, self.robot.activate),
+            (plan.deactivate, self.managed.deactivate),
+            (plan.activate, self.managed.activate),
         ):
             for name in names:
                 if name not in plan.plain:
@@ -163,11 +167,11 @@ class RosaManager(OwnTree):
 
     def _configure(self, plan: ReconfigurationPlan) -> None:
         for name in plan.parameters:
-            configuration = self.kb.configurations[name]
-            self.robot.set_parameters(configuration.component, configuration.parameters)
+            configuration = self.base.configurations[name]
+            self.managed.set_parameters(configuration.component, configuration.parameters)
         for name in (*plan.deactivate, *plan.activate):
-            self.kb.component_active(name, name in plan.activate)
-        self.kb.finish_plan(plan, "completed")
+            self.base.component_active(name, name in plan.activate)
+        self.base.finish_plan(plan, "completed")
         self._rest()
 
     def _rest(self) -> None:
@@ -196,25 +200,25 @@ class LookaheadManager(OwnTree):
     is that of the tree.
     """
 
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(robot)
-        self._manager = ConfigurationManager(self.kb, robot)
+    def setup(self) -> None:
+        super().setup()
+        self._manager = ConfigurationManager(self.base, self.managed)
 
-    def tree(self) -> Behaviour:
-        mission = super().tree()
+    def build(self) -> Behaviour:
+        mission = super().build()
         self._inspect = next(
             leaf for leaf in mission.iterate() if isinstance(leaf, InspectPipeline)
         )
-        self._seen = deque([(0.0, self.robot.way_m())], SEEN_POINTS)
+        self._seen = deque([(0.0, self.world.way_m())], SEEN_POINTS)
         restores = {"battery_level": 1.0}
         detour = Detour("recharge", restores, self._there_s, self._back_s, 0.2)
-        self._detours = (detour,) if detour.action in self.kb.actions else ()
-        self._lookahead = Lookahead(self.kb, self._value, period=2.0)
+        self._detours = (detour,) if detour.action in self.base.actions else ()
+        self._lookahead = Lookahead(self.base, self._value, period=2.0)
         return ValueSelector("what next", self._lookahead, [mission])
 
     def receive(self, message: Message) -> None:
-        self.percepts.receive(message)
-        self.kb.receive(message)
+        self.seen.receive(message)
+        self.base.receive(message)
         self._manager.update()
 
     def update(self) -> None:
@@ -226,9 +230,9 @@ class LookaheadManager(OwnTree):
 
         Nothing before the pipeline is found.
         """
-        if not self.percepts.holds("pipeline_found"):
-            return MissionValue(self.robot.deadline_s)
-        way_m = self.robot.way_m()
+        if not self.seen.holds("pipeline_found"):
+            return MissionValue(self.settings.duration_s)
+        way_m = self.world.way_m()
         if self._inspect.inspected_m > self._seen[-1][0]:
             self._seen.append((self._inspect.inspected_m, way_m))
         before_m, before = self._seen[0]
@@ -237,14 +241,14 @@ class LookaheadManager(OwnTree):
         if len(self._seen) == SEEN_POINTS:
             away = (now - before) / (now_m - before_m)
         gain = Gain("inspect_pipeline", FOLLOWING_M_S, 0.1, away * FOLLOWING_M_S)
-        deadline = self.robot.deadline_s
+        deadline = self.settings.duration_s
         return MissionValue(deadline, (gain,), self._detours, away=way_m, unit="m")
 
     def _drive_s(self, away: float) -> float:
-        return away / (TRANSIT_SHARE * self.robot.settings.speed_limit_m_s)
+        return away / (TRANSIT_SHARE * self.constants.speed_limit_m_s)
 
     def _there_s(self, away: float) -> float:
-        return self._drive_s(away) + self.robot.settings.recharge_period_s
+        return self._drive_s(away) + self.constants.recharge_period_s
 
     def _back_s(self, away: float) -> float:
         return self._drive_s(away) + SETTLING_S

@@ -11,7 +11,8 @@ from kb import Event, EventKind, KnowledgeBase, ReconfigurationPlan, Status
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord, Step
 
-_MEMORY: Final = 256  # news, and ticks with news, that wait for a plan that answers them
+_MEMORY: Final = 256  # news that may have caused a decision
+_TASK: Final = "task"
 
 
 def plans_after(last: "PlanRecord | None", plans: Sequence["PlanRecord"]) -> Sequence["PlanRecord"]:
@@ -37,7 +38,7 @@ class News:
         time: [s].
         text: the news in words.
         events: their numbers; none for what only the task layer perceives.
-        reason: why another action is needed, if the news alone says so.
+        reason: why the news calls for a change, if the news alone says so.
     """
 
     time: float
@@ -53,52 +54,57 @@ class Adaptation:
     Attributes:
         at_s: when it was decided [s].
         kind: "parameter", "structural" (components switched) or "task" (another action).
-        trigger: the news that caused it.
-        reason: why the news called for a change.
-        change: what was changed.
-        reaction_s: time from the news until the change was in force [s]; None if it never was.
-        news_s: the time of the news [s].
+        news: what caused it, and why that called for a change.
+        decision: a task adaptation in words.
         before, action: of a task adaptation, the action that has ended and the one that follows.
-        events: the numbers of the events of the news.
         plans: its reconfiguration plans, each with what it changes, in words.
     """
 
     at_s: float
     kind: str
-    trigger: str
-    reason: str
-    change: str
-    reaction_s: float | None = None
-    news_s: float = field(default=0.0, repr=False)
-    before: str = field(default="", repr=False)
-    action: str = field(default="", repr=False)
-    events: tuple[int, ...] = field(default=(), repr=False)
-    plans: list[tuple[str, ReconfigurationPlan]] = field(default_factory=list, repr=False)
+    news: News
+    decision: str = ""
+    before: str = ""
+    action: str = ""
+    plans: list[tuple[str, ReconfigurationPlan]] = field(default_factory=list)
+
+    @property
+    def trigger(self) -> str:
+        return self.news.text
+
+    @property
+    def reason(self) -> str:
+        return self.news.reason
+
+    @property
+    def change(self) -> str:
+        """What was changed, in words, and which plans did not succeed."""
+        parts = [self.decision] if self.decision else []
+        for words, plan in self.plans:
+            is_whole = plan.result in (None, "completed")
+            parts.append(words if is_whole else f"{words} ({plan.result})")
+        return "; ".join(parts)
 
     @property
     def in_force_s(self) -> float:
         """When it was in force [s]; infinity if it never was."""
-        return inf if self.reaction_s is None else self.news_s + self.reaction_s
+        if not self.plans:
+            return self.at_s
+        last = self.plans[-1][1]
+        if last.end is None or last.result != "completed":
+            return inf
+        return max(self.at_s, last.end)
+
+    @property
+    def reaction_s(self) -> float | None:
+        """Time from the news until the change was in force [s]; None if it never was."""
+        return None if self.in_force_s == inf else self.in_force_s - self.news.time
 
     @property
     def why(self) -> str:
         """The reason, with the news in front if the reason does not mention it."""
         subject = self.trigger.split(" ")[0]
         return self.reason if subject in self.reason else f"{self.trigger}: {self.reason}"
-
-    def close(self) -> None:
-        """Update `change` and `reaction_s` by how the plans have ended so far."""
-        if not self.plans:
-            self.reaction_s = self.at_s - self.news_s
-            return
-        last = self.plans[-1][1]
-        if last.result == "completed" and last.end is not None:
-            self.reaction_s = max(self.at_s, last.end) - self.news_s
-        parts = [f"{self.before} -> {self.action}"] if self.action else []
-        for words, plan in self.plans:
-            is_whole = plan.result in (None, "completed")
-            parts.append(words if is_whole else f"{words} ({plan.result})")
-        self.change = "; ".join(parts)
 
 
 class AdaptationLog:
@@ -115,159 +121,141 @@ class AdaptationLog:
 
     Args:
         report: called with each adaptation once it is in force or has failed.
-        plans: returns the task plans so far.
 
     Attributes:
-        is_listening: whether the next events may be news; else they are our own doing.
+        is_listening: whether the next events may be news; else the task layer itself records them.
     """
 
     def __init__(
         self,
         kb: KnowledgeBase,
-        report: Callable[[Adaptation], None] = lambda adaptation: None,
-        plans: Callable[[], Sequence["PlanRecord"]] = tuple,
+        report: Callable[[Adaptation], None],
     ) -> None:
         self.adaptations: list[Adaptation] = []
         self.is_listening = True
         self._kb = kb
         self._report = report
-        self._plans = plans
-        self._heard: list[News] = []  # since the last tick
-        self._ticks: deque[tuple[float, News]] = deque(maxlen=_MEMORY)  # those with news
+        self._heard: deque[News] = deque(maxlen=_MEMORY)
+        self._latest: News | None = None  # the last of these, until a tick can react to it
+        self._answered: News | None = None  # the one that this tick can react to
         self._last_tick = -inf
         self._this_tick = -inf
         self._lost: dict[str, News] = {}  # by action: what made it unfeasible
         self._regained: dict[str, News] = {}  # by action: what made it feasible again
-        self._unanswered: dict[int, News] = {}  # by event
-        self._begun: Event | None = None  # the last request
-        self._ended: tuple[Event, News | None] | None = None  # the last action's end, and its cause
+        self._unanswered: dict[int, News] = {}  # by event: news that no plan was made for
+        self._results: dict[str, str] = {}  # by action: how it has ended the last time
+        self._begun: Event | None = None  # the last request, and the last end, until settled
+        self._ended: Event | None = None
+        self._past: tuple[Event, News | None] | None = None  # an end that no request followed
         self._new_plans: list[ReconfigurationPlan] = []  # which belong to no adaptation yet
         self._open: list[Adaptation] = []
-        self._last_plan: PlanRecord | None = None
-        self._steps: frozenset[Step] = frozenset()
+        self._steps: frozenset[Step] = frozenset()  # of the last task plan
         kb.log.witnesses += (self._on_event,)  # before subscribers, on the thread that records
 
     def sensed(self, text: str) -> None:
         """Note a change that only the task layer perceives."""
-        self._heard.append(News(self._kb.now, text))
+        self._note(News(self._kb.now, text))
+
+    def _note(self, news: News) -> None:
+        """Note news, as one with other news to which no tick could react yet."""
+        latest = self._latest
+        if latest is not None:
+            self._heard.pop()
+            text = latest.text if news.text in latest.text else f"{latest.text} and {news.text}"
+            news = News(latest.time, text, latest.events + news.events)
+        self._heard.append(news)
+        self._latest = news
 
     def ticking(self, time: float) -> None:
         """Note that a tick begins at this time [s]; it can react to all news until now."""
-        with self._kb.reading():  # other threads than the one that ticks may record events
-            self._last_tick = self._this_tick
-            self._this_tick = time
-            if self._heard:
-                events = dict.fromkeys(number for news in self._heard for number in news.events)
-                text = " and ".join(dict.fromkeys(news.text for news in self._heard))
-                self._ticks.append((time, News(self._heard[0].time, text, tuple(events))))
-                self._heard.clear()
+        self._last_tick = self._this_tick
+        self._this_tick = time
+        self._answered = self._latest
+        self._latest = None
 
-    def settle(self) -> None:
-        """Assign decisions to causes, and report what is over; call it after the manager."""
+    def settle(self, task_plans: Sequence["PlanRecord"] = ()) -> None:
+        """Assign decisions to causes, and report what is over; call it after the manager.
+
+        Args:
+            task_plans: those that were made since the last time.
+        """
         with self._kb.reading():
-            self._settle_task_plans(is_reported=self._settle_actions())
+            solved = [plan for plan in task_plans if plan.outcome.is_solved]
+            plan = solved[-1] if solved else None
+            if self._ended is not None:
+                self._past = self._ended, self._cause_of_end(self._ended, plan)
+                self._ended = None
+            is_entered = self._settle_action(plan)
+            if plan is not None:
+                self._settle_steps(plan, is_entered=is_entered)
             self._settle_plans()
             if self._kb.pending_plan is None:
                 self._close([entry for entry in self._open if self._is_over(entry)])
 
     def finish(self) -> None:
         """Report an action that was given up and that no other followed; call it at the end."""
-        ended, cause = self._ended or (None, None)
+        ended, cause = self._past or (None, None)
         if ended and cause and not self._kb.required_actions:
-            self._ended = None
+            self._past = None
             self._enter_change(ended, cause, "nothing", ended.time)
             self._settle_plans()
             self.adaptations.sort(key=lambda entry: entry.at_s)
             self._close(self._open[-1:])
 
-    # ---------------------------------------------------------------- events
-
     def _on_event(self, event: Event) -> None:
         if event.plan is not None:
             self._new_plans.append(event.plan)
         elif event.verb == "request_action":
-            self._lost.pop(event.subject, None)
             self._begun = event
+            self._lost.pop(event.subject, None)
         elif event.verb == "cancel_action":
-            self._on_end(event)
+            self._ended = event
+            if self._begun and self._begun.subject == event.subject:
+                self._begun = None
         elif self.is_listening and event.changes and is_news(self._kb, event):
             self._on_news(event)
 
     def _on_news(self, event: Event) -> None:
         news = News(event.time, event.text, (event.number,))
-        self._heard.append(news)
+        self._note(news)
         self._unanswered[event.number] = news
         if len(self._unanswered) > _MEMORY:
             del self._unanswered[min(self._unanswered)]
-        for change in event.changes:
-            action = change.name
-            if change.kind == "action" and change.new is Status.UNFEASIBLE:
-                self._lost[action] = replace(news, reason=self._why(action))
-            elif change.kind == "action" and change.old is Status.UNFEASIBLE:
+        for kind, action, old, new in event.changes:
+            if kind == "action" and new is Status.UNFEASIBLE:
+                reason = self._kb.why(self._kb.actions[action])
+                self._lost[action] = replace(news, reason=reason)
+            elif kind == "action" and old is Status.UNFEASIBLE:
                 self._lost.pop(action, None)
                 self._regained[action] = replace(news, reason=f"{action} is feasible again")
 
-    def _why(self, action: str) -> str:
-        return self._kb.why(self._kb.actions[action])
+    # ---------------------------------------------------------------- causes
 
-    def _on_end(self, event: Event) -> None:
-        """Note which action has ended and why; a tree may begin the next before it ends this."""
-        if self._begun and self._begun.subject == event.subject:
-            self._begun = None
-        cause = None
-        if event.arguments[1] != "completed":
-            cause = self._cause_of_end(event)
-            self._regained.pop(event.subject, None)
-        self._ended = event, cause
-
-    def _cause_of_end(self, event: Event) -> News | None:
+    def _cause_of_end(self, event: Event, plan: "PlanRecord | None") -> News | None:
+        """Return the news for which an action was given up, with the task plan that followed."""
         action, result, reason = event.arguments
+        self._results[action] = result
+        self._regained.pop(action, None)
+        if result == "completed":
+            return None
         if action in self._lost:
             return self._lost[action]
         if result == "failed":
             reason = reason or f"{action} gave no reason"
             return News(event.time, f"{action} has failed", (event.number,), reason)
-        if event.cause is not None:  # what the manager or the task layer found out by itself
-            cause = next(self._kb.log.since(event.cause - 1), event)
-            return News(cause.time, cause.text, (cause.number,), self._why(action))
-        plan = self._new_task_plan()
         if plan is not None:
             return self._cause_of_task_plan(plan)
-        is_now = self._ticks and self._ticks[-1][0] == self._this_tick
-        return self._ticks[-1][1] if is_now else None
-
-    def _new_task_plan(self) -> "PlanRecord | None":
-        """Return the task plan that was found in this tick, if any."""
-        plans = plans_after(self._last_plan, self._plans())
-        return plans[-1] if plans and plans[-1].outcome.is_solved else None
+        return self._answered
 
     def _cause_of_task_plan(self, plan: "PlanRecord") -> News:
         """Return the news when a plan was requested, else the reason of the plan."""
-        news = [news for tick, news in self._ticks if tick <= plan.at_s]
-        last = news[-1] if news else News(plan.at_s, plan.reason)
+        heard = [news for news in self._heard if news.time <= plan.at_s]
+        last = heard[-1] if heard else News(plan.at_s, plan.reason)
         return replace(last, reason=plan.reason)
 
-    # ---------------------------------------------------------------- decisions
-
-    def _settle_actions(self) -> bool:
-        """Enter an action that replaces another because of news; return whether there is one."""
-        begun = self._begun
-        self._begun = None
-        if begun is None or self._ended is None:
-            return False
-        ended, given_up = self._ended
-        self._ended = None
-        cause = self._cause_of_change(ended.subject, given_up, begun)
-        if cause is None:
-            return False
-        plan = self._new_task_plan()
-        if plan is not None and not cause.reason:
-            cause = replace(cause, reason=plan.reason)
-        self._close([entry for entry in self._open if entry.action])
-        self._enter_change(ended, cause, begun.subject, begun.time)
-        return True
-
-    def _cause_of_change(self, before: str, given_up: News | None, begun: Event) -> News | None:
+    def _cause_of_change(
+        self, before: str, given_up: News | None, begun: Event, plan: "PlanRecord | None"
+    ) -> News | None:
         """Return the news for which an action replaces another; None for the ordinary course."""
         action = begun.subject
         cause = given_up if before != action else None
@@ -276,9 +264,8 @@ class AdaptationLog:
             return cause
         if cause is not None:  # perhaps nothing was feasible in between
             return max(cause, regained, key=lambda news: news.time)
-        ended = [each for each in self._kb.history.actions if each.action == action and each.end]
-        is_step = self._new_task_plan() is None and self._plans()
-        if is_step or not ended or ended[-1].result == "completed":
+        is_step = plan is None and self._steps
+        if is_step or self._results.get(action, "completed") == "completed":
             return None
         if regained.time >= self._last_tick:
             return regained
@@ -286,46 +273,56 @@ class AdaptationLog:
         since = f"{regained.reason} (since {regained.time:.1f} s: {regained.text})"
         return News(begun.time, f"{before} is over", regained.events, since)
 
-    def _settle_task_plans(self, *, is_reported: bool) -> None:
-        """Enter a task plan with new steps, unless its first action was reported."""
-        for plan in plans_after(self._last_plan, self._plans()):
-            self._last_plan = plan
-            if not plan.outcome.is_solved:
-                continue
-            added = [self._step_in_words(step) for step in plan.steps if step not in self._steps]
-            if added and self._steps and not is_reported:
-                change = f"plan anew, with {', '.join(dict.fromkeys(added))}"
-                cause = self._cause_of_task_plan(plan)
-                self._close([self._enter(self._this_tick, "task", cause, change)])
-            self._steps = frozenset(plan.steps)
+    # ---------------------------------------------------------------- decisions
+
+    def _settle_action(self, plan: "PlanRecord | None") -> bool:
+        """Enter an action that replaces another because of news; return whether there is one."""
+        begun = self._begun
+        self._begun = None
+        if begun is None or self._past is None:
+            return False
+        ended, given_up = self._past
+        self._past = None
+        cause = self._cause_of_change(ended.subject, given_up, begun, plan)
+        if cause is None:
+            return False
+        if plan is not None and not cause.reason:
+            cause = replace(cause, reason=plan.reason)
+        self._enter_change(ended, cause, begun.subject, begun.time)
+        return True
+
+    def _settle_steps(self, plan: "PlanRecord", *, is_entered: bool) -> None:
+        """Enter a task plan with new steps, unless its first action was entered."""
+        added = [self._step_in_words(step) for step in plan.steps if step not in self._steps]
+        if added and self._steps and not is_entered:
+            change = f"plan anew, with {', '.join(dict.fromkeys(added))}"
+            cause = self._cause_of_task_plan(plan)
+            self._enter(Adaptation(self._this_tick, _TASK, cause, change))
+        self._steps = frozenset(plan.steps)
 
     def _settle_plans(self) -> None:
         """Assign reconfiguration plans to their news, or to the change of action they serve."""
         waiting = []
         for plan in self._new_plans:
-            entry = next((entry for entry in self._open if entry.action), None)
-            cause = self._unanswered.pop(plan.cause or 0, None)
-            if cause is not None and (entry is None or plan.cause not in entry.events):
+            changes = [entry for entry in self._open if entry.action]
+            entry = changes[-1] if changes else None
+            news = self._unanswered.pop(plan.cause or 0, None)
+            if news is not None and (entry is None or plan.cause not in entry.news.events):
                 kind = "structural" if plan.activate or plan.deactivate else "parameter"
-                entry = self._enter(plan.start, kind, replace(cause, reason=plan.reason))
+                entry = self._enter(Adaptation(plan.start, kind, replace(news, reason=plan.reason)))
             if entry is not None:
                 entry.plans.append((self._plan_in_words(plan), plan))
-                entry.close()
-            elif self._ended is not None and plan.cause == self._ended[0].number:
+            elif self._past is not None and plan.cause == self._past[0].number:
                 waiting.append(plan)  # for the action that comes next
         self._new_plans = waiting
 
     def _enter_change(self, ended: Event, cause: News, action: str, time: float) -> None:
         before = ended.subject
         reason = cause.reason or f"{action} is chosen, though {before} is still feasible"
-        entry = self._enter(time, "task", replace(cause, reason=reason), f"{before} -> {action}")
-        entry.before = before
-        entry.action = action
+        news = replace(cause, reason=reason)
+        self._enter(Adaptation(time, _TASK, news, f"{before} -> {action}", before, action))
 
-    def _enter(self, time: float, kind: str, cause: News, change: str = "") -> Adaptation:
-        entry = Adaptation(time, kind, cause.text, cause.reason, change)
-        entry.news_s = cause.time
-        entry.events = cause.events
+    def _enter(self, entry: Adaptation) -> Adaptation:
         self.adaptations.append(entry)
         self._open.append(entry)
         return entry
@@ -340,7 +337,6 @@ class AdaptationLog:
     def _close(self, entries: Sequence[Adaptation]) -> None:
         for entry in entries:
             self._open.remove(entry)
-            entry.close()
             self._report(entry)
 
     def _step_in_words(self, step: "Step") -> str:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import count
 from math import inf
-from typing import Final, NamedTuple, Protocol, Self
+from typing import Any, Final, NamedTuple, Self
 
 from kb.elements import Parameters
 
@@ -28,31 +28,19 @@ class Command(NamedTuple):
     parameters: Parameters
 
 
-class Components(Protocol):
-    """The components of a world: each method takes effect at once, when a command is finished.
-
-    If a method raises, it must not have had an effect; the command has then failed.
-    """
-
-    def check(self, component: str, parameters: Parameters, /) -> None:
-        """Raise, when a command is given, if there is no such component or parameter."""
-
-    def activate(self, component: str, /) -> object: ...
-    def deactivate(self, component: str, /) -> object: ...
-    def set_parameters(self, component: str, parameters: Parameters, /) -> object: ...
-    def is_active(self, component: str, /) -> bool: ...
-    def parameters(self, component: str, /) -> Parameters: ...
-
-
 class NamedComponents:
-    """Components without behaviour: a set of those that run, and the parameters of each."""
+    """Components without behaviour: a set of those that run, and the parameters of each.
+
+    Each method takes effect at once, when a command is finished. If it raises, it must not have had
+    an effect; the command has then failed.
+    """
 
     def __init__(self) -> None:
         self.active: set[str] = set()
         self.taken: dict[str, Parameters] = {}
 
     def check(self, component: str, parameters: Parameters, /) -> None:
-        """Accept any command."""
+        """Raise, when a command is given, if there is no such component or parameter."""
 
     def activate(self, component: str, /) -> None:
         self.active.add(component)
@@ -121,7 +109,7 @@ class SimulatedComponents:
     def __init__(
         self,
         clock: Callable[[], float],
-        components: Components,
+        components: Any,  # noqa: ANN401  # `NamedComponents`, or others with these methods
         takes: Mapping[str, float] | None = None,
     ) -> None:
         self.takes = checked_times(takes or {})
@@ -172,26 +160,23 @@ class SimulatedComponents:
         return tuple(dict.fromkeys(component for _, component in self._scripts))
 
     def activate(self, component: str, /) -> Operation:
-        effect = partial(self._components.activate, component)
-        return self._command("activate", component, {}, effect)
+        return self._command("activate", component)
 
     def deactivate(self, component: str, /) -> Operation:
-        effect = partial(self._components.deactivate, component)
-        return self._command("deactivate", component, {}, effect)
+        return self._command("deactivate", component)
 
     def set_parameters(self, component: str, parameters: Parameters, /) -> Operation:
-        copy = dict(parameters)
-        effect = partial(self._components.set_parameters, component, copy)
-        return self._command("set_parameters", component, copy, effect)
+        return self._command("set_parameters", component, dict(parameters))
 
     def is_active(self, component: str, /) -> bool:
         """Return whether a component truly runs; not while its activation is under way."""
         self.catch_up()
-        return self._components.is_active(component)
+        return bool(self._components.is_active(component))
 
     def parameters(self, component: str, /) -> Parameters:
         self.catch_up()
-        return self._components.parameters(component)
+        parameters: Parameters = self._components.parameters(component)
+        return parameters
 
     def next_event(self) -> float:
         """When a command that is under way ends next [s]; infinity if there is none."""
@@ -206,13 +191,15 @@ class SimulatedComponents:
             is_any = True
         return is_any
 
-    def _command(
-        self, verb: str, component: str, parameters: Parameters, effect: Callable[[], object]
-    ) -> Operation:
-        self._components.check(component, parameters)
+    def _command(self, verb: str, component: str, *parameters: Parameters) -> Operation:
+        taken: Parameters = dict(*parameters)
+        self._components.check(component, taken)
+        effect: Callable[[], object] = partial(
+            getattr(self._components, verb), component, *parameters
+        )
         now = self._clock()
         script = self._script(verb, component)
-        self.commands.append(Command(now, verb, component, parameters))
+        self.commands.append(Command(now, verb, component, taken))
         self._counts[verb, component] += 1
         number = self._counts[verb, component]
         if script.hangs:

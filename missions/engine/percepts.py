@@ -8,7 +8,6 @@ A short stream for a test is written by hand:
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from math import inf
-from numbers import Real
 from typing import Any, Final
 
 from missions.engine.settings import MissionError
@@ -21,16 +20,18 @@ MISSION_STATUS: Final = "mission status"
 
 def check_message(message: Any, source: str) -> None:  # noqa: ANN401  # anything, until it is checked
     """Check the form of a message; raise MissionError, which names the source, if it is wrong."""
-    time = message.get("time") if isinstance(message, Mapping) else None
-    if not isinstance(time, Real) or not 0 <= float(time) < inf:
-        expected = 'a message is an object with a number "time" [s] from 0 and a list "status"'
-        raise MissionError(f"{source}: {expected}, not {message!r:.100}")
-    for status in message.get("status", [None]):
-        values = status.get("values") if isinstance(status, Mapping) else None
-        is_fit = isinstance(values, Mapping) and all(isinstance(name, str) for name in values)
-        if not is_fit or not isinstance(status.get("message"), str):
-            expected = 'each "status" is an object with a text "message" and an object "values"'
-            raise MissionError(f"{source}: {expected}, not {status!r:.100}")
+    try:
+        texts: list[Any] = []
+        for status in message["status"]:
+            texts += [status["message"], *status["values"].keys()]
+        is_fit = 0 <= message["time"] < inf and all(isinstance(text, str) for text in texts)
+    except (AttributeError, LookupError, TypeError):
+        is_fit = False
+    if not is_fit:
+        raise MissionError(
+            f'{source}: a message is an object with a number "time" [s] from 0 and a list "status" '
+            f'of objects, each with a text "message" and an object "values", not {message!r:.100}'
+        )
 
 
 def measured(time: float, **values: float) -> Message:

@@ -1,31 +1,20 @@
 """Diagnostics as a file, one message per line as JSON: written during a run, read for a replay."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
 from math import inf
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
 from missions.engine.percepts import Message, check_message
-from missions.engine.percepts import failed as failed
-from missions.engine.percepts import measured as measured
-from missions.engine.percepts import recovered as recovered
-from missions.engine.percepts import sensed as sensed
 from missions.engine.runner import Listener, MissionRun
 from missions.engine.settings import MissionError
 
 
 def line_of(message: Message) -> str:
-    return json.dumps(message, separators=(",", ":"), sort_keys=True, default=_plain) + "\n"
-
-
-def _plain(value: object) -> float | str | dict[Any, Any]:
-    """Return what JSON writes for a number of numpy, another mapping, or else its text."""
-    if isinstance(value, Real):
-        return float(value)
-    return dict(value) if isinstance(value, Mapping) else str(value)
+    plain = {**message, "time": float(message["time"])}
+    return json.dumps(plain, separators=(",", ":"), sort_keys=True, default=str) + "\n"
 
 
 def header(run: MissionRun, seed: int) -> Message:

@@ -4,9 +4,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from functools import partial
-from math import inf, nan
+from math import inf
 from numbers import Real
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 from py_trees.common import Status
 from py_trees.trees import BehaviourTree
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 OURS: Final = "ours"
 """The manager name of our own: knowledge base, configuration manager, and either task layer."""
 POLICIES: Final = {
-    OURS: "missions.engine.runner:Ours",
+    OURS: "missions.engine.runner:RosaRun",
     "none": "missions.baselines.policies:Unmanaged",
     "random": "missions.baselines.policies:Random",
     "fixed": "missions.baselines.policies:Fixed",
@@ -81,19 +81,27 @@ class Listener:
     def tick(self, run: "MissionRun") -> None:
         """Called after each decision."""
 
-    def sample(self, sample: Sample) -> None:
-        """Called with what can be seen of the world, at most twice a second."""
+    def sample(self, sample: Sample | None) -> None:
+        """Called with what can be seen of the world, if that is anything, twice a second."""
 
 
 class MissionRun(ABC):
-    """One run of a mission, to its end: by our knowledge base, manager and task layer, or others.
+    """One run of a mission, to its end; a subclass is a manager, and says what is decided.
 
     In each turn it advances the world to the next message, or to the time of the next decision,
     receives the messages, and decides.
 
     Attributes:
-        model: of the mission, with all amendments so far.
+        tasks: names of the task layers that the manager goes with.
+        options: settings of the manager that can be set from outside; see `values`.
+        task: the name of its task layer.
         manager: its name, as in `rosa run --manager`.
+        rng: random generator of the manager, its only source of chance.
+        values: values of the manager's options by name.
+        model: of the mission, with all amendments so far.
+        percepts: what the task layer perceives besides what the knowledge base knows.
+        actions: all actions that were requested.
+        measured: the last measurement of each attribute; None if there is none.
         tree: the tree that is ticked; None if there is none.
         problems: parts of messages that could not be used, with their times [s].
         faults: the faults that are injected.
@@ -106,6 +114,11 @@ class MissionRun(ABC):
         plans: the task plans so far, in order; empty if nothing plans.
     """
 
+    tasks: ClassVar[tuple[str, ...]] = TASK_KINDS
+    options: ClassVar[tuple[Setting, ...]] = ()
+    rng: "Generator"
+    actions: Sequence[RequiredAction]
+    measured: Mapping[str, float | None]
     tree: BehaviourTree | None = None
     early_verdict: Verdict | None = None
     is_stuck = False
@@ -115,14 +128,24 @@ class MissionRun(ABC):
     listeners: Sequence[Listener] = ()
 
     def __init__(
-        self, mission: Mission, world: World, settings: RunSettings, manager: str, task: str
+        self,
+        mission: Mission,
+        task: str,
+        world: World,
+        settings: RunSettings,
+        manager: str = OURS,
+        rng: Any = None,  # noqa: ANN401  # only a replay has none
+        values: Mapping[str, Any] | None = None,
     ) -> None:
         self.mission = mission
+        self.task = task
         self.world = world
         self.settings = settings
         self.manager = manager
-        self.task = task
-        self.model = built(f"the model of mission {mission.name}", Model, mission.model)
+        self.rng = rng
+        self.values = values or {}
+        self.percepts = Percepts()
+        self.model = self.build_model()
         self.faults = FaultInjector(self.model, settings.duration_s)
         self.problems: list[tuple[float, DiagnosticProblem]] = []
         self.adaptations: list[Adaptation] = []
@@ -130,7 +153,23 @@ class MissionRun(ABC):
         self._turns = 0
         self._check_time(-inf)
         self._sampled_s = -SAMPLE_PERIOD_S
-        self._last_plan: PlanRecord | None = None
+        self.setup()
+
+    @classmethod
+    def refusal(cls, mission: Mission) -> str:
+        """Return why this manager cannot manage a mission; empty if it can."""
+        if cls is RosaRun or not mission.selects:
+            return ""
+        title = f"the task layer of mission {mission.name}"
+        return f"{title} selects configurations; run it under {OURS}"
+
+    def build_model(self) -> Model:
+        """Return the model to decide with."""
+        return built(f"the model of mission {self.mission.name}", Model, self.mission.model)
+
+    @abstractmethod
+    def setup(self) -> None:
+        """Make what decides; called when the run is opened."""
 
     def listen(self, *listeners: Listener) -> None:
         """Add listeners."""
@@ -155,18 +194,8 @@ class MissionRun(ABC):
     def is_done(self) -> bool:
         """Whether the mission is over."""
 
-    @property
     @abstractmethod
-    def actions(self) -> Sequence[RequiredAction]:
-        """All actions that were requested."""
-
-    @property
-    @abstractmethod
-    def measured(self) -> Mapping[str, float | None]:
-        """The last measurement of each attribute; None if there is none."""
-
-    @abstractmethod
-    def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
+    def hear(self, message: Message) -> Sequence[DiagnosticProblem]:
         """Process a message; return the parts of it that cannot be used."""
 
     @abstractmethod
@@ -174,7 +203,7 @@ class MissionRun(ABC):
         """React to what was received, and do what is due; return whether something was due."""
 
     @abstractmethod
-    def end(self) -> None:
+    def release(self) -> None:
         """Release everything; called once, however the run ends."""
 
     @abstractmethod
@@ -221,7 +250,7 @@ class MissionRun(ABC):
                         break
                     self._turn()
             finally:
-                self.end()
+                self.release()
         if self.early_verdict:
             return self.early_verdict
         verdict = self.verdict(self.results())
@@ -241,14 +270,11 @@ class MissionRun(ABC):
             self._sample()
             for listener in self.listeners:
                 listener.tick(self)
-        for plan in plans_after(self._last_plan, self.plans):
-            self._last_plan = plan
-            self.on_plan(plan)
 
-    def on_plan(self, plan: PlanRecord) -> None:
-        """Notify the listeners of a task plan."""
+    def act(self, text: str, time_s: float) -> None:
+        """Notify the listeners that an action is requested or ends."""
         for listener in self.listeners:
-            listener.plan(plan, self.world.now)
+            listener.action(text, time_s)
 
     def _advance(self, until: float) -> Sequence[Message]:
         """Advance the world; return its messages, which are checked, as is its clock."""
@@ -276,14 +302,12 @@ class MissionRun(ABC):
 
     def _check_time(self, before: float) -> None:
         now: Any = self.world.now
-        title = f"now of {type(self.world).__name__}"
-        if not isinstance(now, Real):
-            raise MissionError(f"{title} is {now!r:.100}; expected is the time, a number [s]")
-        if not before <= float(now) < inf:
-            raise MissionError(f"{title} shows {now!r} s after {before!r} s; its time has to pass")
+        if not (isinstance(now, Real) and before <= float(now) < inf):
+            title = f"now of {type(self.world).__name__} shows {now!r} after {before!r} s"
+            raise MissionError(f"{title}; expected is the time [s], and it has to pass")
 
     def _receive(self, message: Message) -> None:
-        problems = self.receive(message)
+        problems = self.hear(message)
         time_s = float(message["time"])
         self.problems += [(time_s, problem) for problem in problems]
         for listener in self.listeners:
@@ -298,11 +322,6 @@ class MissionRun(ABC):
             return
         self._sampled_s = now
         sample = self.ask("sample")
-        if sample is None:
-            measured = {
-                name: nan if value is None else value for name, value in self.measured.items()
-            }
-            sample = Sample(now, (nan, nan, nan), measured)
         for listener in self.listeners:
             listener.sample(sample)
 
@@ -310,45 +329,35 @@ class MissionRun(ABC):
 class RosaRun(MissionRun):
     """The run of our own: the knowledge base, the configuration manager and the task layer.
 
-    Args:
-        planner: chooses the configurations; None: by priority.
-        on_error: as of `rosa_bt.TreeRunner`: a behaviour that raises fails, or the run raises.
-
     Attributes:
-        percepts: what the task layer perceives besides what the knowledge base knows.
+        on_error: as of `rosa_bt.TreeRunner`: a behaviour that raises fails, or the run raises.
+        planner: chooses the configurations; None: by priority.
 
     Raises:
         MissionError, rosa_pddl.RosaPddlError, kb.KnowledgeBaseError: the mission cannot be run.
     """
 
     tree: BehaviourTree
+    on_error: ClassVar[Literal["fail", "raise"]] = "fail"
+    planner: ConfigurationPlanner | None = None
 
-    def __init__(
-        self,
-        mission: Mission,
-        task: str,
-        world: World,
-        settings: RunSettings,
-        manager: str = OURS,
-        planner: ConfigurationPlanner | None = None,
-        on_error: Literal["fail", "raise"] = "fail",
-    ) -> None:
-        super().__init__(mission, world, settings, manager, task)
-        self.percepts = Percepts()
+    def setup(self) -> None:
         self._kb = KnowledgeBase(self.model, clock=self._now)
-        self._manager = ConfigurationManager(self._kb, world.managed, planner=planner)
-        self._task = build_task(task, mission, self._kb, self.percepts, settings)
-        plans = self._task.plans if self._task.is_planned else tuple
-        self._log = AdaptationLog(self._kb, self._on_adaptation, plans)
-        self._log.is_listening = False
+        self._manager = ConfigurationManager(self._kb, self.world.managed, planner=self.planner)
+        self._task = build_task(self.task, self.mission, self._kb, self.percepts, self.settings)
+        self._log = AdaptationLog(self._kb, self._on_adaptation)
         self.adaptations = self._log.adaptations
         self._runner = TreeRunner(
-            self._task.root, clock=self._now, period=settings.tick_period_s, on_error=on_error
+            self._task.root,
+            clock=self._now,
+            period=self.settings.tick_period_s,
+            on_error=self.on_error,
         )
         self.tree = self._runner.tree
         self.tree.setup()
         self._kb.subscribe(self._on_event)
         self._revision = -1
+        self._last_plan: PlanRecord | None = None
         self._under_way = ""
 
     @property
@@ -364,23 +373,19 @@ class RosaRun(MissionRun):
         return self._runner.status is Status.SUCCESS
 
     @property
-    def actions(self) -> Sequence[RequiredAction]:
+    def actions(self) -> Sequence[RequiredAction]:  # type: ignore[override]  # read-only here
         return self._kb.history.actions
 
     @property
-    def measured(self) -> Mapping[str, float | None]:
+    def measured(self) -> Mapping[str, float | None]:  # type: ignore[override]  # read-only here
         return {name: view.value for name, view in self._kb.attributes.items()}
 
     @property
     def plans(self) -> tuple[PlanRecord, ...]:  # type: ignore[override]  # read-only here
         return self._task.plans()
 
-    def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
-        self._log.is_listening = True
-        try:
-            problems = self._kb.receive(message)
-        finally:
-            self._log.is_listening = False
+    def hear(self, message: Message) -> Sequence[DiagnosticProblem]:
+        problems = self._kb.receive(message)
         for key in self.percepts.receive(message):
             self._log.sensed(f"{key} is {str(self.percepts.holds(key)).lower()}")
         return problems
@@ -388,18 +393,24 @@ class RosaRun(MissionRun):
     def decide(self) -> bool:
         is_due = self._now() >= self._runner.due
         if is_due or self._kb.revision != self._revision or self._kb.pending_plan is not None:
-            self._manage()  # between ticks, only a changed status or an open plan needs the manager
+            # between ticks, only a changed status or an open plan needs the manager
+            self._manager.update()
+            self._settle()
         self._task.catch_up()
         if is_due:
             self._log.ticking(self._now())
+        self._log.is_listening = False
         is_ticked = is_due and self._runner.update()
+        self._log.is_listening = True
         if is_ticked and self._kb.revision != self._revision:
-            self._manage()
+            self._manager.update()
+        if is_ticked:
+            self._settle()
         if is_ticked and self.world.is_still and self._kb.pending_plan is None:
             self.is_stuck = bool(self.mission.why_not(self._kb, self.percepts))
         return is_ticked
 
-    def end(self) -> None:
+    def release(self) -> None:
         try:
             if not self.is_done:
                 self._log.finish()
@@ -435,16 +446,18 @@ class RosaRun(MissionRun):
     def _now(self) -> float:
         return self.world.now
 
-    def _manage(self) -> None:
-        self._manager.update()
-        self._log.settle()
+    def _settle(self) -> None:
+        """Enter what was decided since the last time, and notify the listeners of task plans."""
+        plans = plans_after(self._last_plan, self.plans)
+        self._log.settle(plans if self._task.is_planned else ())
         self._revision = self._kb.revision
-
-    def on_plan(self, plan: PlanRecord) -> None:
-        super().on_plan(plan)
-        if plan.outcome.is_trouble and self._task.is_planned:  # a tree goes on without a plan
-            reason = f"no plan, {plan.outcome}: {plan.engine}"
-            self.early_verdict = Verdict("aborted", reason, plan.message)
+        for plan in plans:
+            self._last_plan = plan
+            for listener in self.listeners:
+                listener.plan(plan, self.world.now)
+            if plan.outcome.is_trouble and self._task.is_planned:  # a tree goes on without a plan
+                reason = f"no plan, {plan.outcome}: {plan.engine}"
+                self.early_verdict = Verdict("aborted", reason, plan.message)
 
     def _on_adaptation(self, adaptation: Adaptation) -> None:
         for listener in self.listeners:
@@ -452,69 +465,13 @@ class RosaRun(MissionRun):
 
     def _on_event(self, event: Event) -> None:
         if event.kind is EventKind.ACTION_UPDATE:
-            for listener in self.listeners:
-                listener.action(event.text, event.time)
+            self.act(event.text, event.time)
 
 
 # ---------------------------------------------------------------- managers, and opening a run
 
 
-class Opening(NamedTuple):
-    """What a run is opened with; see `open_run`.
-
-    Attributes:
-        manager: its name.
-        rng: random generator of the manager, its only source of chance.
-        options: values of the manager's options by name.
-    """
-
-    manager: str
-    mission: Mission
-    task: str
-    world: World
-    settings: RunSettings
-    rng: "Generator"
-    options: Mapping[str, Any]
-
-
-class ManagerBase(ABC):
-    """What every manager declares, and how a run under it is opened.
-
-    Attributes:
-        tasks: names of the task layers that it goes with.
-        options: settings of the manager that can be set from outside.
-    """
-
-    tasks: ClassVar[tuple[str, ...]] = TASK_KINDS
-    options: ClassVar[tuple[Setting, ...]] = ()
-
-    @classmethod
-    def refusal(cls, mission: Mission) -> str:
-        """Return why this manager cannot manage a mission; empty if it can."""
-        if not mission.selects:
-            return ""
-        title = f"the task layer of mission {mission.name}"
-        return f"{title} selects configurations; run it under {OURS}"
-
-    @classmethod
-    @abstractmethod
-    def open(cls, opening: Opening) -> MissionRun:
-        """Return a run under this manager."""
-
-
-class Ours(ManagerBase):
-    """Knowledge base, configuration manager, and either task layer."""
-
-    @classmethod
-    def refusal(cls, mission: Mission) -> str:
-        return ""
-
-    @classmethod
-    def open(cls, opening: Opening) -> RosaRun:
-        return RosaRun(opening.mission, opening.task, opening.world, opening.settings)
-
-
-ManagerType = type[ManagerBase]
+ManagerType = type[MissionRun]
 
 
 def find_manager(name: str | ManagerType, mission: Mission) -> ManagerType:
@@ -528,7 +485,7 @@ def find_manager(name: str | ManagerType, mission: Mission) -> ManagerType:
         homes = {**POLICIES, **mission.world.managers}
         own = "one of your own is given as package:Class"
         manager = load("manager", name, homes, f"{', '.join(homes)} in {mission.name}; {own}")
-    if not (isinstance(manager, type) and issubclass(manager, ManagerBase)):
+    if not (isinstance(manager, type) and issubclass(manager, MissionRun)):
         title = getattr(name, "__name__", name)
         raise MissionError(f"{title!r} is no subclass of missions.baselines.Policy or Manager")
     refusal = manager.refusal(mission)
@@ -568,7 +525,7 @@ def open_run(
         raise MissionError(
             f"--task {task} is a task layer of ours; --manager {name} comes without one"
         )
-    run_settings, world_settings, options = split_settings(mission, settings or {}, kind.options)
+    run_settings, world_settings, values = split_settings(mission, settings or {}, kind.options)
     rng = numpy.random.default_rng(seed)
 
     def open_world() -> object:
@@ -580,7 +537,7 @@ def open_run(
     try:
         with blamed(lambda: f"mission {mission.name} under manager {name}", is_authors=False):
             chance = rng.spawn(1)[0]
-            return kind.open(Opening(name, mission, task, world, run_settings, chance, options))
+            return kind(mission, task, world, run_settings, name, chance, values)
     except BaseException:
         world.close()
         raise

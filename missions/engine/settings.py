@@ -11,11 +11,13 @@ from typing import Any, Final, Self, TypeVar, get_args, get_origin, get_type_hin
 T = TypeVar("T")
 Value = bool | int | float | str
 
-_KINDS: Final[Mapping[type, str]] = {
+_KINDS: Final[Mapping[Any, str]] = {
     bool: "true or false",
     str: "a text",
     int: "a whole number",
     float: "a number",
+    tuple: "a list",
+    Mapping: "a table",
 }
 
 
@@ -150,8 +152,7 @@ def read_values(
     """Return the values that texts mean, by full names; units may be missing in the given ones.
 
     Raises:
-        MissionError: an unknown name, a setting that is given twice, with and without its unit, or
-            a value that is not allowed.
+        MissionError: an unknown name, or a value that is not allowed.
     """
     by_name = {part.name: part for part in settings}
     names = [*by_name]
@@ -161,15 +162,12 @@ def read_values(
         if name not in by_name:
             close = near(name, names)
             existing = f"there are {', '.join(names)}"
-            if mission and len(names) >= 20:
+            if mission:
                 existing = f"`rosa settings {mission}` lists them"
             hint = f"did you mean {' or '.join(close)}?" if close else existing
             owner = f" of mission {mission}" if mission else ""
             raise MissionError(f"unknown setting {name!r}{owner}; {hint}")
         part = by_name[name]
-        if part.name in read:
-            twice = f"{part.short_name} and {part.name}"
-            raise MissionError(f"{twice} are the same setting; give it once")
         read[part.name] = part.read(value)
     return read
 
@@ -217,19 +215,13 @@ def from_table(kind: type[T], table: Mapping[str, Any], source: str) -> T:
 
 def _typed(value: Any, kind: Any) -> Any:  # noqa: ANN401  # a value of a file, and an annotation
     """Return a value as this type; a number is a text, too. TypeError says what is expected."""
-    origin = get_origin(kind)
-    if origin is tuple:
-        if not isinstance(value, list | tuple):
-            raise TypeError("a list")
+    origin = get_origin(kind) or kind
+    if origin is tuple and isinstance(value, list | tuple):
         return tuple(_typed(item, get_args(kind)[0]) for item in value)
-    if origin is Mapping:
-        if not isinstance(value, dict):
-            raise TypeError("a table")
+    if origin is Mapping and isinstance(value, dict):
         return {name: _typed(item, get_args(kind)[1]) for name, item in value.items()}
-    if kind is Any or isinstance(value, kind):
-        return value
     if kind is str and isinstance(value, int | float):
         return str(value).lower()
-    if kind is float and isinstance(value, int):
+    if kind is Any or isinstance(value, int | float if kind is float else origin):
         return value
-    raise TypeError(_KINDS[kind])
+    raise TypeError(_KINDS[origin])

@@ -204,4 +204,4 @@ def check_campaign(campaign: Campaign) -> None:
     for name, settings, layer in product(campaign.missions, campaign.variants, campaign.layers):
         run = PlannedRun(name, *layer, campaign.first_seed, settings).open()
         with closing(run.world):
-            run.end()
+            run.release()

@@ -336,7 +336,8 @@ def replay(
         limits = RunSettings.read(texts)
     limits = replace(limits, duration_s=min(limits.duration_s, end_s))
     kind = "bt" if behaviour else task
-    run = RosaRun(_mission_of(mission, behaviour), kind, world, limits, on_error=on_error)
+    run_type = RosaRun if on_error == "fail" else _StrictRun
+    run = run_type(_mission_of(mission, behaviour), kind, world, limits)
     if watch is not None:
         watch(run)
     for component in world.managed.scripted:
@@ -346,6 +347,12 @@ def replay(
         lines = [f"\n  at {seconds(time)}: {problem}" for time, problem in decisions.problems]
         raise MissionError(f"the messages cannot be used as they are:{''.join(lines)}")
     return decisions
+
+
+class _StrictRun(RosaRun):
+    """A run that ends when a behaviour raises."""
+
+    on_error = "raise"
 
 
 class Recording(World):

@@ -46,15 +46,13 @@ def described(node: Node) -> dict[str, Any]:
     return data | {name: [key_of(other) for other in others] for name, others in links.items()}
 
 
-def facts_of(kb: KnowledgeBase, nodes: Mapping[str, Node]) -> Iterator[tuple[str, str, Any]]:
-    """Yield all facts about elements as they are now: key, track and value, None for no."""
-    with kb.reading() as state:
-        known = {
-            key: [fact(state, node) for fact in _FACTS.values()] for key, node in nodes.items()
-        }
-    for key, values in known.items():
-        for track, value in zip(_FACTS, values, strict=True):
-            yield key, track, value or None
+def facts_of(state: State) -> list[tuple[str, Node, dict[str, Any]]]:
+    """Return each element with its key and its facts by track; a fact that is not so is None."""
+    known = []
+    for node in state.network.present():
+        facts = {track: fact(state, node) or None for track, fact in _FACTS.items()}
+        known.append((key_of(node), node, facts))
+    return known
 
 
 def reasons(kb: KnowledgeBase, node: Node) -> dict[str, Any]:
@@ -184,8 +182,8 @@ def chain_of(
     def link(time: float, what: str, words: str, elements: Iterable[str] = ()) -> None:
         links.append({"t": time, "what": what, "words": words, "elements": list(elements)})
 
-    start = adaptation.news_s - 1e-9
-    causes = [event for event in events if event.number in adaptation.events]
+    start = adaptation.news.time - 1e-9
+    causes = [event for event in events if event.number in adaptation.news.events]
     for event in causes:
         link(event.time, "news", event.text, [_subject(event)])
         changes = _main_changes(event)
@@ -196,9 +194,9 @@ def chain_of(
             elements = [f"{change.kind} {change.name}" for change in changes]
             link(event.time, "status", words, elements)
     if not causes:
-        link(adaptation.news_s, "news", adaptation.trigger)
+        link(adaptation.news.time, "news", adaptation.trigger)
     for plan in reversed(task_plans):
-        is_for_it = not causes or plan.cause is None or plan.cause in adaptation.events
+        is_for_it = not causes or plan.cause is None or plan.cause in adaptation.news.events
         if start <= plan.at_s <= adaptation.at_s and is_for_it:
             steps = ", then ".join(dict.fromkeys(step.action or step.schema for step in plan.steps))
             is_solved = plan.outcome.is_solved

@@ -31,6 +31,7 @@ class Host:
 
     def __init__(self, port=0):
         self.clients = []
+        self._is_closed = False
         self._server = serve(self._attend, "127.0.0.1", port, compression=None)
         self.port = self._server.socket.getsockname()[1]
         self.url = f"ws://127.0.0.1:{self.port}"
@@ -38,6 +39,7 @@ class Host:
         self._thread.start()
 
     def close(self):
+        self._is_closed = True  # for who connects meanwhile
         for client in list(self.clients):
             client.is_over.set()
         self.cut()
@@ -53,6 +55,8 @@ class Host:
     def _attend(self, websocket):
         client = Client(websocket)
         self.clients.append(client)
+        if self._is_closed:
+            client.is_over.set()
         try:
             for text in websocket:
                 with suppress(ValueError, LookupError, TypeError, AttributeError, RecursionError):

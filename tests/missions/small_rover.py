@@ -3,7 +3,7 @@
 from py_trees.common import Status
 
 from kb import Model
-from missions.engine.recording import failed, measured, recovered, sensed
+from missions.engine.percepts import failed, measured, recovered, sensed
 from rosa_bt import RosaAction, do_until_unfeasible
 
 

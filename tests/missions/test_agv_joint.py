@@ -187,10 +187,13 @@ def test_modes_are_those_of_a_new_reader_after_any_events(script):
         assert kb.revision == revision
 
 
-def test_corridor_to_no_place_is_refused():
+@pytest.mark.parametrize(
+    ("end", "goal", "name"), [("hal", "desk", "hal"), ("hall", "ball", "ball")]
+)
+def test_place_that_there_is_not_is_refused(end, goal, name):
     places = {"hall": (0.0, 0.0), "desk": (3.0, 4.0)}
-    with pytest.raises(UnknownName, match="unknown place 'hal'; did you mean 'hall'"):
-        Building(places, {"c1": Corridor(("hal", "desk"))}, "hall", "desk")
+    with pytest.raises(UnknownName, match=f"unknown place '{name}'; did you mean 'hall'"):
+        Building(places, {"c1": Corridor((end, "desk"))}, "hall", goal)
 
 
 def test_generated_building_is_connected_and_repeatable():

@@ -175,7 +175,7 @@ def started(building, components, **values):
     """Return a world in which some components drive the vehicle along c1."""
     texts = {name: str(value) for name, value in values.items()}
     world = BuildingWorld(building, Settings.read(texts), numpy.random.default_rng(0))
-    world.managed.set_parameters("base", {"speed": SPEEDS["fast"].metres_per_second})
+    world.managed.set_parameters("base", {"speed": SPEEDS["fast"][0]})
     world.managed.set_parameters(NAVIGATOR, {"corridor": "c1", "origin": "a"})
     for name in (*components, "base", NAVIGATOR):
         world.managed.activate(name)

@@ -151,11 +151,11 @@ from missions.baselines import Manager
 
 class Clumsy(Manager):
     def update(self):
-        if self.robot.now > 1:
+        if self.now > 1:
             {trouble}
 """
 TROUBLE = """[lambda: None, lambda: 1 / 0, lambda: os._exit(9), lambda: sys.exit("enough")][
-                int(self.robot.settings.start_y_m)
+                int(self.constants.start_y_m)
             ]()"""
 CRASHING = """
 missions = ["suave"]

@@ -1,19 +1,21 @@
 """Managers that ours is compared with: published figures, their rules, and one of a user's own."""
 
-import numpy
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from running import called
+from py_trees.common import Status
+from running import ROVER, called
 
-from kb import ConfigurationManager, KnowledgeBase, Model
+from kb import Model
 from missions.baselines import MANAGERS, Manager, find_manager, open_run
 from missions.baselines.modes import FUNCTIONS, Metacontrol, SystemModes
-from missions.baselines.policies import Random
 from missions.baselines.rosa import CONFIGURING, FETCHING, INSERTING, PLANNING
 from missions.engine.mission import MissionError, find_mission
 from missions.engine.runner import Listener
 from missions.testing import FakeClock, ScriptedManaged
+from rosa_bt import RosaAction
 
 SWITCHING_S = 0.03
 PUBLISHED = {"rules": "2025", "start_y": 2.8, "visibility_shift": 84.7, "duration_s": 250}
@@ -75,7 +77,7 @@ def test_manager_bt_adapts_the_vehicle_and_recharges_once():
     spirals = [change for change in changes_of("spiral_search", run) if change.active]
     assert {change.parameters["spiral_altitude"] for change in spirals} == {1.0, 2.0, 3.0}
     assert run.ending.outcome == "time_limit"
-    tasks = [(task.action, task.result) for task in run.robot.tasks]
+    tasks = [(task.action, task.result) for task in run.actions]
     assert tasks[1:3] == [("inspect_pipeline", "abandoned"), ("recharge", "completed")]
     levels = [
         (message["time"], float(status["values"]["battery_level"]))
@@ -91,7 +93,7 @@ def test_manager_bt_adapts_the_vehicle_and_recharges_once():
 @pytest.mark.parametrize(("rules", "least_s", "most_s"), [("2024", 0.1, 2.0), ("2025", 0.0, 0.2)])
 def test_mission_node_polls_at_the_period_of_the_rules(rules, least_s, most_s):
     run = run_under("none", seed=2, rules=rules, start_y=0.0, duration_s=10)
-    inspect = next(task for task in run.robot.tasks if task.action == "inspect_pipeline")
+    inspect = next(task for task in run.actions if task.action == "inspect_pipeline")
     assert least_s <= inspect.start - run.world.results()["found_s"] < most_s
 
 
@@ -103,6 +105,15 @@ def test_manager_random_picks_modes_at_the_period_of_the_rules():
     assert all(min(offset, 15.0 - offset) < 0.1 for offset in offsets)
 
 
+class Look(RosaAction):
+    def update(self):
+        return Status.RUNNING
+
+
+def look_around(kb, percepts):
+    return Look("look", kb, "look")
+
+
 def test_policy_random_chooses_anew_as_time_passes():
     model = Model("rover")
     camera = model.component("camera", kind="lifecycle")
@@ -110,15 +121,10 @@ def test_policy_random_chooses_anew_as_time_passes():
     camera.configuration("night", {"rate": 2})
     model.function("see").design("by_camera", [camera])
     model.action("look", requires=["see"])
-    clock = FakeClock()
-    kb = KnowledgeBase(model, clock=clock)
-    policy = Random(model, numpy.random.default_rng(0), {"period_s": 1.0})
-    manager = ConfigurationManager(kb, ScriptedManaged(clock), planner=policy)
-    kb.request_action("look")
-    for _ in range(200):
-        manager.update()
-        clock.advance(0.1)
-    assert {name for plan in kb.plans for name in plan.parameters} == {"day", "night"}
+    mission = replace(ROVER, model=lambda: model, tree=look_around)
+    run = open_run(mission, manager="random", settings={"period_s": "1", "duration_s": "20"})
+    run.run()
+    assert {name for plan in run.kb.plans for name in plan.parameters} == {"day", "night"}
 
 
 @pytest.mark.parametrize("service_s", [0.05, 0.3])
@@ -163,15 +169,15 @@ def test_metacontrol_acts_on_a_failure_one_pass_after_it_saw_it():
 class Deaf(Metacontrol):
     """Metacontrol of a vehicle whose spiral cannot be set to 3 m."""
 
-    def __init__(self, robot):
-        super().__init__(robot)
-        apply = robot.set_parameters
+    def setup(self):
+        super().setup()
+        apply = self.managed.set_parameters
 
         def set_parameters(component, parameters):
             if parameters != {"spiral_altitude": 3.0}:
                 apply(component, parameters)
 
-        robot.set_parameters = set_parameters
+        self.managed.set_parameters = set_parameters
 
 
 def test_metacontrol_replaces_a_design_without_effect():
@@ -209,15 +215,15 @@ class Cautious(Manager):
     options = (Setting("margin_m", 0.5, "m", "what is spared", "own choice"),)
 
     def begin(self, task):
-        self.robot.activate("spiral_search" if task == "search_pipeline" else "follow_pipeline")
+        self.managed.activate("spiral_search" if task == "search_pipeline" else "follow_pipeline")
         self.calls = []
         for delay_s, name in ((2.0, "c"), (1.0, "a"), (1.0, "b"), (0.0, "now")):
-            self.robot.later(delay_s, lambda name=name: self.calls.append(name))
+            self.later(delay_s, lambda name=name: self.calls.append(name))
 
     def update(self):
-        margin_m = self.robot.options["margin_m"]
-        altitude = max(1.0, self.robot.measured.get("water_visibility", 0.0) - margin_m)
-        self.robot.set_parameters("spiral_search", {"spiral_altitude": altitude})
+        margin_m = self.values["margin_m"]
+        altitude = max(1.0, self.measured.get("water_visibility", 0.0) - margin_m)
+        self.managed.set_parameters("spiral_search", {"spiral_altitude": altitude})
 '''
 
 
@@ -229,7 +235,7 @@ def test_manager_of_a_user_is_run_by_its_name(tmp_path, monkeypatch):
         change.parameters["spiral_altitude"] for change in changes_of("spiral_search", run)
     }
     assert len(altitudes) > 5
-    assert run.robot.options["margin_m"] == 0.25
+    assert run.values["margin_m"] == 0.25
     manager = find_manager("cautious:Cautious", run.mission)
     assert run.manager == "cautious:Cautious"
     assert run_under(manager, seed=1, duration_s=20, margin=0.25).ending == run.ending
@@ -269,7 +275,7 @@ def test_run_that_cannot_be_opened_is_refused(arguments, words):
 
 class Faulty(Manager):
     def begin(self, task):
-        self.robot.activate("spiral_serch")
+        self.managed.activate("spiral_serch")
 
 
 class Hasty(Manager):
@@ -280,12 +286,12 @@ class Forgetful(Manager):
     decides_tasks = True
 
     def update(self):
-        self.robot.end("completed")
+        self.end_task("completed")
 
 
 class Late(Manager):
     def begin(self, task):
-        self.robot.later(-1.0, print)
+        self.later(-1.0, print)
 
 
 @pytest.mark.parametrize(

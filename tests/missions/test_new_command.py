@@ -17,7 +17,7 @@ from running import called
 from kb import KnowledgeBase
 from missions.baselines import Policy, open_run
 from missions.engine.mission import Mission, MissionError, find_mission
-from missions.engine.recording import failed, measured
+from missions.engine.percepts import failed, measured
 from missions.views.output import figure_in_words
 from missions.wires.bridge import Bridge, BridgeSettings
 
@@ -164,7 +164,7 @@ def test_manager_of_ones_own_chooses_in_any_mission(new):
 def test_all_stays_feasible_where_nothing_adapts(new):
     run = open_run(find_mission(f"{new()}:MISSION"), manager="none")
     for message in (measured(0.0, energy=0.0), failed(0.0, "camera_node")):
-        run.receive(message)
+        run.hear(message)
     assert run.kb.is_feasible("explore")
 
 

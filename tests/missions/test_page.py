@@ -16,7 +16,7 @@ from small_rover import rover_model, rover_tree
 from kb import ConfigurationManager, KnowledgeBase
 from missions.baselines import open_run
 from missions.engine.mission import MissionError, Percepts, find_mission
-from missions.engine.recording import sensed
+from missions.engine.percepts import sensed
 from missions.testing.scripted import FakeClock, ScriptedManaged
 from missions.views import recorder as recorder_module
 from missions.views.facts import key_of

@@ -15,14 +15,11 @@ from small_rover import ENERGY_DROP, Sensing, rover_model, rover_tree
 
 from kb import UnknownName
 from missions.engine.mission import MissionError, Percepts
+from missions.engine.percepts import failed, measured, recovered, sensed
 from missions.engine.recording import (
-    failed,
     header,
     line_of,
-    measured,
     read_recording,
-    recovered,
-    sensed,
 )
 from missions.engine.runner import Listener
 from missions.suave.tree import suave_tree
