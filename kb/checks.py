@@ -146,15 +146,11 @@ def _incomplete(network: Network) -> Iterator[Finding]:
                 yield finding_of("unknown-action", node.name, f"a rate of {node.name}: {unknown}")
 
 
-def _preferences(model: Owner) -> list[tuple[str, str]]:
-    """Return the actions that are requested with a preference, and the preferred attributes."""
-    requests = [fact for fact in model.facts if isinstance(fact, RequiredActionFact)]
-    return [(request.action, name) for request in requests for name in request.preference or ()]
-
-
 def _unused(model: Owner, network: Network) -> Iterator[Finding]:
-    preferred = {name for _, name in _preferences(model)}
-    used = preferred | {estimation.attribute for estimation in model.estimations}
+    used = {estimation.attribute for estimation in model.estimations}
+    for fact in model.facts:
+        if isinstance(fact, RequiredActionFact):
+            used.update(fact.preference or ())
     for node in network.attributes.values():
         if not node.constraints and node.name not in used:
             yield finding_of("unused-attribute", node, f"nothing depends on {node}")
@@ -247,33 +243,11 @@ def _conflict(node: Node) -> str:
 
 
 def _doubtful_choices(model: Owner, network: Network) -> Iterator[Finding]:
-    """Yield ties, what is never selected, and estimations that are missing."""
-    directly: dict[Node, set[str]] = {}
-    for estimation in model.estimations:
-        directly.setdefault(network.find(estimation.causer), set()).add(estimation.attribute)
-
-    def estimated(node: Node) -> set[str]:
-        """Return the attributes that are estimated for an element or its parts."""
-        return directly.get(node, set()).union(*map(estimated, node.requires))
-
+    """Yield ties, and what is never selected."""
     for owner in (*network.functions.values(), *network.components.values()):
-        if owner.kind == "component":
-            yield from _excluded(owner)
         yield from _ties(owner)
-        names = {part: estimated(part) for part in owner.requires}
-        for attribute in sorted(set().union(*names.values()) - directly.get(owner, set())):
-            without = [part.name for part in owner.requires if attribute not in names[part]]
-            if without:
-                some = f"some {owner.requires[0].kind}s of {owner} but not for {listing(without)}"
-                message = f"{attribute} is estimated for {some}"
-                yield finding_of("missing-estimation", owner, message)
-        if not any(names.values()):  # else a preference may select what priority never would
+        if not model.estimations:  # else a preference may select what priority never would
             yield from _dominated(owner)
-    for action, attribute in dict.fromkeys(_preferences(model)):
-        node = network.actions[action]
-        if attribute not in estimated(node):
-            what = f"{node} prefers {attribute}, which is estimated for nothing that it can use"
-            yield finding_of("missing-estimation", node, what)
 
 
 def _priority(node: Node) -> float:
@@ -284,10 +258,6 @@ def _priority(node: Node) -> float:
 def _bounds_in_use(part: Node) -> dict[str, Interval]:
     """Return the intervals that satisfy a choice and its components, by attribute."""
     return bounds(part, *(part.used_by if part.kind == "configuration" else part.requires))
-
-
-def _is_contradictory(intervals: Mapping[str, Interval]) -> bool:
-    return any(interval.is_empty for interval in intervals.values())
 
 
 def _ties(owner: Node) -> Iterator[Finding]:
@@ -311,28 +281,13 @@ def _exclude_one_another(alternatives: Sequence[Mapping[str, Interval]]) -> bool
     return False
 
 
-def _excluded(component: Node) -> Iterator[Finding]:
-    """Yield the configurations that the component's own constraints exclude, if not all."""
-    excluded = {
-        part: name
-        for part in component.requires
-        for name, interval in _bounds_in_use(part).items()
-        if interval.is_empty
-    }
-    for part, name in excluded.items() if len(excluded) < len(component.requires) else ():
-        needed = bounds(part)[name]
-        if not needed.is_empty:
-            own = bounds(component)[name].text(name)
-            message = f"{part} needs {needed.text(name)}, but its {component} {own}"
-            yield finding_of("never-selected", part, message)
-
-
 def _dominated(owner: Node) -> Iterator[Finding]:
     """Yield the choices for which a preferred one is feasible whenever they are."""
     ranked = sorted(owner.requires, key=_priority)
     for part in ranked:
         needed = _bounds_in_use(part)
-        for rival in ranked[:PREFERRED] if not _is_contradictory(needed) else ():
+        is_possible = not any(interval.is_empty for interval in needed.values())
+        for rival in ranked[:PREFERRED] if is_possible else ():
             # a failure must not rule out only the preferred one
             is_within = part.kind == "configuration" or set(rival.requires) <= set(part.requires)
             is_easier = all(

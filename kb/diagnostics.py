@@ -164,7 +164,9 @@ def _rosas_facts(status: _Status) -> Iterator[_Fact]:
         if status.subject in MEASUREMENTS:
             yield _Fact("stale" if status.level == STALE else "measure", key, value)
         elif status.subject in COMPONENT_REPORTS:
-            yield _Fact(COMPONENT_VALUES.get(value.strip().casefold(), ""), key, value)
+            verb = COMPONENT_VALUES.get(value.strip().casefold(), "")
+            is_error = verb and status.level == ERROR  # a level that contradicts a value wins
+            yield _Fact("component_failed" if is_error else verb, key, value)
 
 
 def record_diagnostics(
@@ -215,13 +217,19 @@ def _record(kb: Any, fact: _Fact) -> None:  # noqa: ANN401  # a KnowledgeBase
 
 
 def _statuses(array: object, problems: list[DiagnosticProblem]) -> Iterator[_Status]:
-    statuses = array if isinstance(array, list | tuple) else _part(array, "status", (array,))
-    for status in statuses if isinstance(statuses, Iterable) else ():
-        try:
-            yield _status(status)
-        except Exception as error:  # an object of the caller may raise anything when it is read
-            reason = f"it cannot be read: {error}"
-            problems.append(DiagnosticProblem("status", type(status).__name__, reason))
+    try:  # an object of the caller may raise anything when it is read
+        statuses = array if isinstance(array, list | tuple) else _part(array, "status", (array,))
+        for status in statuses if isinstance(statuses, Iterable) else ():
+            try:
+                yield _status(status)
+            except Exception as error:
+                problems.append(_unreadable(status, error))
+    except Exception as error:
+        problems.append(_unreadable(array, error))
+
+
+def _unreadable(part: object, error: Exception) -> DiagnosticProblem:
+    return DiagnosticProblem("status", type(part).__name__, f"it cannot be read: {error}")
 
 
 def _status(status: object) -> _Status:

@@ -8,7 +8,7 @@ under distribution shift", NeurIPS 2021).
 """
 
 import math
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, lru_cache, partial
 from itertools import combinations, groupby, pairwise
@@ -220,9 +220,12 @@ class Course:
         """Yield how far earlier forecasts were off, in order of time."""
         times, values = self._series
         gap = max(self._step, ahead / _ERRORS_IN_HORIZON)
-        turns = range(math.ceil(times[0] / gap), math.floor((times[-1] - ahead) / gap) + 1)
-        places = dict.fromkeys(bisect_right(times, turn * gap) - 1 for turn in turns)
-        for place in list(places)[-2 * _MOST_ERRORS :]:
+        places = []  # the last one before each multiple of the gap, however far apart they are
+        for place, (time, following) in enumerate(pairwise(times)):
+            turn = math.ceil(time / gap) * gap
+            if turn < following and turn <= times[-1] - ahead:
+                places.append(place)
+        for place in places[-2 * _MOST_ERRORS :]:
             then = times[place] + ahead
             came = bisect_left(times, then - _ROUNDING * ahead)
             slope = self._slope(place)

@@ -20,7 +20,7 @@ from types import MappingProxyType
 from typing import Any, Final, TypeVar
 from weakref import WeakSet, finalize
 
-from kb import elements, situations, views
+from kb import elements, views
 from kb.debounce import NEVER
 from kb.diagnostics import DiagnosticProblem, DiagnosticRules, record_diagnostics
 from kb.elements import (
@@ -51,7 +51,15 @@ from kb.records import (
     VetoAnswer,
     check_result,
 )
-from kb.situations import ELEMENTS, ElementLike, resolve
+from kb.situations import (
+    ELEMENTS,
+    ElementLike,
+    Situation,
+    outline,
+    preferred,
+    resolve,
+    value_in_range,
+)
 from kb.state import KEPT, Reason, State
 from kb.status import Status
 from kb.store import Store
@@ -131,15 +139,6 @@ class Reading:
     __exit__ = property(attrgetter("_lock.__exit__"))
 
 
-class _ModelObserver:
-    """Passes changes of the model on to a knowledge base, which its methods stand for."""
-
-    def __init__(self, prepare: Any, amended: Any, heard: Any) -> None:  # noqa: ANN401  # bound methods
-        self.prepare = prepare
-        self.amended = amended
-        self.heard = heard
-
-
 class KnowledgeBase:
     """What is known about a robot now, and what follows from it.
 
@@ -212,10 +211,7 @@ class KnowledgeBase:
             self._begin(model.facts, self._now)
         self.history = HistoryView(self._records, self.reading)
         self._ontology = Ontology(self)
-        self._observer = _ModelObserver(
-            self._catch_up_with_time, self._record_amendment, self._publish
-        )
-        model.watch(self._observer)
+        model.watch(self._follow_model)
         if self.store is not None:
             self.store.start(self.log, self._lock, self._snapshot, self._record_store_message)
             finalize(self, self.store.close)
@@ -235,19 +231,19 @@ class KnowledgeBase:
             status = None if node is None else state.status.get(node)
             if status is not None:  # a single read needs no lock
                 return status is not Status.UNFEASIBLE
-        return situations.is_feasible(self, action)
+        return Situation.is_feasible(self, action)
 
-    selectable_actions = situations.selectable_actions
-    selectable_designs = situations.selectable_designs
-    selectable_configurations = situations.selectable_configurations
-    best_configuration = situations.best_configuration
-    adaptable_functions = situations.adaptable_functions
-    adaptable_components = situations.adaptable_components
-    obsolete = situations.obsolete
-    explain = situations.explain
-    why = situations.why
-    explain_choice = situations.explain_choice
-    situation = situations.situation
+    selectable_actions = Situation.selectable_actions
+    selectable_designs = Situation.selectable_designs
+    selectable_configurations = Situation.selectable_configurations
+    best_configuration = Situation.best_configuration
+    adaptable_functions = Situation.adaptable_functions
+    adaptable_components = Situation.adaptable_components
+    obsolete = Situation.obsolete
+    explain = Situation.explain
+    why = Situation.why
+    explain_choice = Situation.explain_choice
+    situation = Situation.situation
     feasible_until = feasible_until
 
     def reading(self) -> AbstractContextManager[State]:
@@ -264,7 +260,7 @@ class KnowledgeBase:
 
     def __repr__(self) -> str:
         with self.reading() as state:
-            return f"<KnowledgeBase {self.model.name!r}: {situations.outline(state)}>"
+            return f"<KnowledgeBase {self.model.name!r}: {outline(state)}>"
 
     def _repr_html_(self) -> str:
         with self.reading() as state:
@@ -272,7 +268,7 @@ class KnowledgeBase:
                 (node.kind, node.name, state.status.get(node, state.value.get(node)))
                 for node in state.network.present()
             ]
-            title = f"{self.model.name}: {situations.outline(state)}"
+            title = f"{self.model.name}: {outline(state)}"
             return table(title, ("kind", "name", "status or value"), rows)
 
     @property
@@ -351,7 +347,7 @@ class KnowledgeBase:
         node = self._network.attributes[attribute]
         element: Any = node.element
         if not (type(value) is float and isfinite(value) and element.low <= value <= element.high):
-            value = situations.number(f"{attribute} cannot be measured as", value, node)
+            value = value_in_range(f"{attribute} cannot be measured as", value, node)
         words = ""
         if self._publisher.subscribers or self.log.witnesses:
             thresholds = [constraint.element.value for constraint in node.constraints]
@@ -483,7 +479,7 @@ class KnowledgeBase:
                 or unfeasible.
         """
         node = self._network.actions[action]
-        wanted = situations.preferred(self._network, preference)
+        wanted = preferred(self._network, preference)
         if node.name in self._records.required:
             return Reply(True, f"{node.name} is required already")
         if self._state.status[node] is Status.UNFEASIBLE:
@@ -880,8 +876,11 @@ class KnowledgeBase:
         self.log.append(Event(1, now, "begin", ()))
         self._revision = 1
 
-    def _record_amendment(self, change: elements.Amended) -> None:
+    def _follow_model(self, change: elements.Amended | None) -> None:
         """Record a change of the model, unless it is recorded already."""
+        if change is None:
+            self._catch_up_with_time()
+            return
         with self._lock:
             self._complete_event()
             if change is self._followed:
@@ -947,6 +946,9 @@ class KnowledgeBase:
         self.log.resume(store.saved)
         for number in list(self._records.open_plans):  # an earlier program left them
             self._record("finish_plan", number, "abandoned")
+        for attempt in tuple(self._records.attempts.values()):
+            if attempt.end is None:
+                self._record("finish_attempt", attempt.serial, "abandoned", "its end is not known")
         self.log.time = -inf  # the clock may have started again at 0
         store.left = tuple(self._records.required)
 

@@ -33,7 +33,7 @@ from kb.exceptions import InvalidValue, KnowledgeBaseError, ModelError, UnknownN
 from kb.files import ModelFileError, read_text
 from kb.state import State
 
-ModelT = TypeVar("ModelT", bound=elements.Owner)
+ModelT = TypeVar("ModelT")
 Answer = str | bool | int | float | None
 World = Any  # of owlready2, which has no types
 
@@ -224,6 +224,14 @@ class _Double(float):
     """A number that owlready2 writes as a double, and not as a decimal."""
 
 
+@cache
+def _declare_double() -> None:
+    """Declare the datatype once: owlready2 writes it to every world, which may be closing."""
+    import owlready2
+
+    owlready2.declare_datatype(_Double, f"{_XSD}double", float, float)
+
+
 class _Graph:
     """A world of owlready2 with ROSA's words, to which individuals are written.
 
@@ -236,7 +244,7 @@ class _Graph:
     def __init__(self, model: str) -> None:
         import owlready2
 
-        owlready2.declare_datatype(_Double, f"{_XSD}double", float, float)
+        _declare_double()
         self.world = owlready2.World()
         self.ontology = self.world.get_ontology(f"{BASE}{_id('RobotModel', model)}#")
         self.rosa = self.ontology.get_namespace(ROSA)
@@ -245,7 +253,7 @@ class _Graph:
         self._things: dict[str, Any] = {}
         self.written: dict[tuple[str, str], Mapping[str, Any]] = {}
         declare_words(self.ontology)
-        self.close = self.world.close
+        self.close: Callable[[], object] = self.world.close
 
     def describe(self, model: elements.Owner) -> Iterator[Individual]:
         """Describe all elements of a model, which thereby get their ids."""
@@ -596,7 +604,7 @@ class Ontology:
                 if live is not None:
                     live.close()
                 live = _Live(self._kb)
-                finalize(self, live.close)  # owlready2 holds the classes of an open world
+                live.close = finalize(self, live.close)  # owlready2 holds an open world's classes
             self._live = live
             return live.world
 

@@ -13,7 +13,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Final
 
-from kb.elements import ComponentKind, Parameters
+from kb.elements import ByName, ComponentKind, Parameters
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import Operation
@@ -83,13 +83,13 @@ def ros_node_programs(components: Iterable[ComponentView]) -> dict[str, Program]
     }
 
 
+@dataclass(eq=False)
 class _Process:
-    """A process in a group of its own, and the operation of ending it."""
+    """A process that leads a group of its own, and the operation of ending that group."""
 
-    def __init__(self, command: Sequence[str], parameters: Parameters) -> None:
-        self.popen = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
-        self.parameters = parameters
-        self.kill_at: float | None = None
+    popen: subprocess.Popen[bytes]
+    parameters: Parameters
+    kill_at: float | None = None
 
     def terminate(self, grace_s: float) -> None:
         if self.kill_at is None:
@@ -98,12 +98,10 @@ class _Process:
 
     def done(self) -> bool:
         """Return whether the whole group has ended; kill it after its grace."""
-        if self.popen.poll() is not None and not self.signal_group(0):
-            return True
-        if self.kill_at is not None and time.monotonic() >= self.kill_at:
-            self.signal_group(signal.SIGKILL)
-            return self.popen.poll() is not None
-        return False
+        has_ended = self.popen.poll() is not None
+        is_killed = self.kill_at is not None and time.monotonic() >= self.kill_at
+        is_group_left = self.signal_group(signal.SIGKILL if is_killed else 0)
+        return has_ended and (is_killed or not is_group_left)
 
     def exception(self) -> None:
         return None
@@ -140,9 +138,10 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
                     f"component {name!r} cannot be run: there is no executable {executable!r}; "
                     "install it, correct the path, or chmod +x it"
                 )
-        self._programs = dict(programs)
+        self._programs = ByName("process component", programs)
         self._parameters: dict[str, Parameters] = {}
         self._processes: dict[str, _Process] = {}
+        self._owner = os.getpid()
         atexit.register(self.close)
 
     def activate(self, component: str, /) -> None:
@@ -154,11 +153,12 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
             raise KnowledgeBaseError(f"the last process of {component!r} is still ending")
         parameters = self._parameters.get(component, {})
         command = self._programs[component].command(parameters)
-        self._processes[component] = _Process(command, parameters)
+        popen = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
+        self._processes[component] = _Process(popen, parameters)
 
     def deactivate(self, component: str, /) -> Operation | None:
         """End a component with SIGTERM, and kill its process group after its grace."""
-        program = self._program(component)
+        program = self._programs[component]
         process = self._processes.get(component)
         if process is not None:
             process.terminate(program.grace_s)
@@ -166,8 +166,8 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
 
     def set_parameters(self, component: str, parameters: Parameters, /) -> Operation | None:
         """Set the parameters; without `configure` they count from the next start on."""
-        program = self._program(component)
-        program.command(parameters)
+        program = self._programs[component]
+        program.command(parameters)  # refuses them if one is missing
         operation = None
         if self.is_active(component):
             if program.configure is not None:
@@ -182,7 +182,7 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
 
     def is_active(self, component: str, /) -> bool:
         """Return whether a component runs; one that crashed does until `observe` records it."""
-        self._program(component)
+        _ = self._programs[component]
         process = self._processes.get(component)
         return process is not None and process.kill_at is None
 
@@ -194,25 +194,22 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
                 continue
             process.signal_group(signal.SIGKILL)  # ends the rest of the group
             del self._processes[component]
-            ending = f"with exit status {code}" if code >= 0 else f"by {signal.Signals(-code).name}"
+            ending = f"with exit status {code}"
+            if code < 0:
+                ending = f"by signal {-code} ({signal.strsignal(-code)})"
             reason = f"the process of {component} ended by itself {ending}"
-            if component in kb.components:  # else it was removed from the model
-                kb.component_active(component, False, reason)
-                kb.component_failed(component, reason)
+            kb.component_active(component, False, reason)
+            kb.component_failed(component, reason)
 
     def close(self) -> None:
-        """End all processes, and wait for them."""
+        """End all processes, and wait for them; in a forked child they go on."""
+        if os.getpid() == self._owner:
+            for component in self._processes:
+                self.deactivate(component)
+            while not all(process.done() for process in self._processes.values()):
+                time.sleep(0.01)
+            self._processes.clear()
         atexit.unregister(self.close)
-        for component, process in self._processes.items():
-            process.terminate(self._programs[component].grace_s)
-        while not all(process.done() for process in self._processes.values()):
-            time.sleep(0.01)
-        self._processes.clear()
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _program(self, component: str) -> Program:
-        if component not in self._programs:
-            raise UnknownName("process component", component, self._programs)
-        return self._programs[component]

@@ -177,13 +177,10 @@ def do_until_unfeasible(
         memory: finish `meanwhile` first, even if the task becomes feasible earlier.
         name: of the composite.
     """
-    for part in (task, meanwhile):
-        if not isinstance(part, Behaviour):
-            hint = "put several in a Sequence or a Selector"
-            raise TypeError(f"do_until_unfeasible takes behaviours, not {part!r}; {hint}")
-    name = name or f"{task.name}, or else {meanwhile.name}"
     parts = feasible_then_act(task), feasible_then_act(meanwhile)
-    return DoUntilUnfeasible(name, *parts, memory=memory)
+    root = DoUntilUnfeasible("", *parts, memory=memory)
+    root.name = name or f"{task.name}, or else {meanwhile.name}"
+    return root
 
 
 def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behaviour]) -> Behaviour:
@@ -200,8 +197,8 @@ def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behavio
     Raises:
         kb.UnknownName: the tree has no action with this name.
         TreeChangeError: one of these actions is inside another one or below a parallel, where no
-            action is the last one; several behaviours do an action that needs a transition; or a
-            parent is of an unknown kind. The tree is not changed then.
+            action is the last one, or a parent is of an unknown kind. The tree is not changed then.
+        RuntimeError: two behaviours do the action of one transition, which has one place.
     """
     tasks = [node for node in root.iterate() if isinstance(node, RosaAction | ForAction)]
     names = sorted({task.action for task in tasks})
@@ -214,11 +211,15 @@ def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behavio
             raise UnknownName("action of the tree", action, names)
     tasks = [task for task in tasks if task.action in steps_by_action]
     for task in tasks:
-        same = sum(other.action == task.action for other in tasks)
-        if same > 1 and steps_by_action[task.action]:
-            many = f"{same} behaviours do {task.action!r}, and a transition has one place"
-            raise TreeChangeError(f"{many}; make one subtree of them")
-        _check_parents(task)
+        for node in path_of(task)[1:]:
+            if is_parallel(node) or isinstance(node, Requester):
+                problem = "its actions run at the same time, so none of them is done last"
+            elif not isinstance(node, composites.Composite | Decorator):
+                problem = "it is neither a composite nor a decorator of py_trees"
+            else:
+                continue
+            place = f"{task.name!r} is below {node.name!r}"
+            raise TreeChangeError(f"{place}: {problem}; put the transition into the tree")
     last_action = [""]
     for task in tasks:
         parent = task.parent
@@ -231,16 +232,3 @@ def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behavio
         if isinstance(parent, Decorator):
             parent.decorated = switch
     return root
-
-
-def _check_parents(task: Behaviour) -> None:
-    """Raise if no transition can be put before a task."""
-    for node in path_of(task)[1:]:
-        problem = ""
-        if is_parallel(node) or isinstance(node, Requester):
-            problem = "its actions run at the same time, so none of them is done last"
-        elif not isinstance(node, composites.Composite | Decorator):
-            problem = "it is neither a composite nor a decorator of py_trees"
-        if problem:
-            place = f"{task.name!r} is below {node.name!r}"
-            raise TreeChangeError(f"{place}: {problem}; put the transition into the tree")

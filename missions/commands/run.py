@@ -70,7 +70,6 @@ def run(
         bool, Option("--allow-control", help="Allow pause, step and fault injection on the page.")
     ] = False,
     tui: Annotated[bool, Option("--tui", help="Show the run in the terminal; q leaves.")] = False,
-    realtime: Annotated[bool, Option("--realtime", help="The same as --speed 1.")] = False,
     speed: Annotated[
         float | None,
         Option(help="Times real time at most, 0: no limit; default 1 with --live and --tui."),
@@ -97,7 +96,7 @@ def run(
         opened = open_run(chosen, manager=manager, task=task, seed=seed, settings=changed)
         opened.faults.add(*faults)
         if speed is None:
-            speed = 1.0 if realtime or is_shown else 0.0
+            speed = 1.0 if is_shown else 0.0
         steering = Steering(opened, speed)
         progress = progress and not tui
         narrator = Narrator(console, opened.settings.duration_s)

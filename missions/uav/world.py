@@ -16,7 +16,6 @@ from kb.elements import Parameters
 from missions.engine import mission
 from missions.engine.components import NamedComponents, SimulatedComponents
 from missions.engine.mission import (
-    MISSION_STATUS,
     Message,
     MissionError,
     Percepts,
@@ -24,6 +23,7 @@ from missions.engine.mission import (
     Verdict,
     WorldKind,
 )
+from missions.engine.percepts import failed, measured, sensed
 from missions.engine.settings import Constants, declared, setting
 from missions.uav.model import ANALYSE_LEVEL, MOST_SAMPLES, PICK_UP_LEVEL, SEARCH_LEVEL
 from missions.uav.tree import analysed, is_all_analysed
@@ -119,6 +119,7 @@ class UavWorld(NamedComponents, mission.World):
         samples: all samples that are wanted by now.
         target: the sample to analyse next; None while none waits.
         held: the sample in the gripper.
+        messages: what is published next.
         is_jammed: whether the gripper is.
     """
 
@@ -155,7 +156,7 @@ class UavWorld(NamedComponents, mission.World):
         self._worked_s = 0.0
         self._pick_ups = 0
         self._qualities: list[float] = []
-        self._messages: list[Message] = []
+        self.messages: list[Message] = []
         self._happened: list[tuple[float, str]] = []
         self.level = 1.0
         self.is_jammed = False
@@ -170,7 +171,7 @@ class UavWorld(NamedComponents, mission.World):
         self._added = self._place(PATCHES[0])
         self._added_s = settings.added_s or inf
         self._say("gripper_folded")
-        self.publish("QA measurement", "battery_level", "1.0")
+        self._measure_battery()
 
     @property
     def managed(self) -> SimulatedComponents:
@@ -213,7 +214,7 @@ class UavWorld(NamedComponents, mission.World):
 
     def advance(self, until: float) -> list[Message]:
         """Simulate until something is published or switched, at most to the time `until` [s]."""
-        while not self._messages:
+        while not self.messages:
             if self.now + STEP_S > until + 1e-9:
                 self.now = until
                 break
@@ -221,17 +222,15 @@ class UavWorld(NamedComponents, mission.World):
             self._step()
             if self._managed.catch_up():
                 break
-        messages = self._messages
-        self._messages = []
+        messages = self.messages
+        self.messages = []
         return messages
 
-    def publish(self, message: str, key: str, value: str) -> None:
-        """Publish a key and its value, in a message with this text."""
-        status = {"name": "uav", "message": message, "values": {key: value}}
-        self._messages.append({"time": self.now, "status": [status]})
-
     def _say(self, key: str, holds: bool = True) -> None:
-        self.publish(MISSION_STATUS, key, str(holds).lower())
+        self.messages.append(sensed(self.now, **{key: holds}))
+
+    def _measure_battery(self) -> None:
+        self.messages.append(measured(self.now, battery_level=self.level))
 
     def _disturb(self, text: str) -> None:
         self._happened.append((self.now, text))
@@ -260,7 +259,7 @@ class UavWorld(NamedComponents, mission.World):
             self._act()
         if self.now >= self._battery_due - 1e-9:
             self._battery_due += BATTERY_PERIOD_S
-            self.publish("QA measurement", "battery_level", repr(self.level))
+            self._measure_battery()
 
     def _drain(self) -> None:
         """Charge and discharge the battery for one step; record each level that it falls below."""
@@ -383,7 +382,7 @@ class UavWorld(NamedComponents, mission.World):
             self.is_jammed = True
             self.let_go()
             self._disturb("the gripper jammed")
-            self.publish("component status", "gripper", "FALSE")
+            self.messages.append(failed(self.now, "gripper"))
         if self.is_jammed or self.held is not None:
             return
         is_unfolded = self.vehicle.arm_rad > UNFOLDED_RAD
@@ -426,7 +425,7 @@ class UavWorld(NamedComponents, mission.World):
             return
         self._is_charging = True
         if self.level >= FULL:
-            self.publish("QA measurement", "battery_level", repr(self.level))
+            self._measure_battery()
             self._say("battery_recharged")
 
     def _fold(self) -> None:

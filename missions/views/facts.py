@@ -46,15 +46,13 @@ def described(node: Node) -> dict[str, Any]:
     return data | {name: [key_of(other) for other in others] for name, others in links.items()}
 
 
-def facts_of(kb: KnowledgeBase, nodes: Mapping[str, Node]) -> Iterator[tuple[str, str, Any]]:
-    """Yield all facts about elements as they are now: key, track and value, None for no."""
-    with kb.reading() as state:
-        known = {
-            key: [fact(state, node) for fact in _FACTS.values()] for key, node in nodes.items()
-        }
-    for key, values in known.items():
-        for track, value in zip(_FACTS, values, strict=True):
-            yield key, track, value or None
+def facts_of(state: State) -> list[tuple[str, Node, dict[str, Any]]]:
+    """Return each element with its key and its facts by track; a fact that is not so is None."""
+    known = []
+    for node in state.network.present():
+        facts = {track: fact(state, node) or None for track, fact in _FACTS.items()}
+        known.append((key_of(node), node, facts))
+    return known
 
 
 def reasons(kb: KnowledgeBase, node: Node) -> dict[str, Any]:

@@ -279,6 +279,9 @@ class LiveView(AbstractContextManager["LiveView"]):
 
     def _admit(self, connection: "ServerConnection", request: "Request") -> "Response | None":
         """Answer a request for the page, or refuse it; return None to open the WebSocket."""
+        method = getattr(request, "method", "GET")  # before version 17 there is no other
+        if method not in ("GET", "HEAD"):
+            return connection.respond(405, "the page is only read: GET or HEAD\n")
         try:
             path = urlsplit(request.path)
             refusal = self._refusal(request.headers, parse_qs(path.query).get("token", [""])[0])

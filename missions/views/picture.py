@@ -197,8 +197,8 @@ class _Picture:
     def _draw_timelines(self, top: float) -> None:
         """Draw measurements, then what was done and selected, with a line for each adaptation."""
         courses = dict(self._courses())
-        names = list(dict.fromkeys(span.name for span in self._spans))
-        heights = [*[PANEL] * len(courses), LANE * (len(names) + 2)]
+        bars = list(dict.fromkeys((span.kind, span.name) for span in self._spans))
+        heights = [*[PANEL] * len(courses), LANE * (len(bars) + 2)]
         place: Any = {"left": 0.11, "right": 0.86, "bottom": 0.05, "top": top, "hspace": 0.08}
         grid = self.figure.add_gridspec(len(heights), 1, height_ratios=heights, **place)
         cells = [grid[number] for number in range(len(heights))]
@@ -212,11 +212,12 @@ class _Picture:
             for entry in self._run.last("disturbance").values():
                 axes.axvline(entry["t"], color=ALARM, linewidth=0.7, linestyle="--", zorder=1.6)
         lanes = rows[-1]
-        lanes.set(xlabel="time [s]", ylim=(len(names) - 0.4, -1.8))
-        lanes.set_yticks(range(len(names)), [brief(name) for name in names])
+        lanes.set(xlabel="time [s]", ylim=(len(bars) - 0.4, -1.8))
+        lanes.set_yticks(range(len(bars)), [brief(name) for _, name in bars])
         for kind, name, start, end in self._spans:
             hue = self._hues[name] if kind == "action" else "#7d8790"
-            lanes.barh(names.index(name), end - start, left=start, height=0.76, color=hue, zorder=2)
+            y = bars.index((kind, name))
+            lanes.barh(y, end - start, left=start, height=0.76, color=hue, zorder=2)
         for number, entry in enumerate(self._adaptations, start=1):
             lanes.text(entry["t"], -1, str(number), **_badge(entry["kind"]))
 
@@ -256,9 +257,8 @@ class _Picture:
             axes.axhline(value, color=LIMIT, linewidth=1, linestyle=":", zorder=3)
         low, high = axes.get_ylim()
         free = 0.0
-        for (value, operator), names in (
-            sorted(limits.items()) if len(limits) <= MOST_LIMITS else ()
-        ):
+        named = sorted(limits.items()) if len(limits) <= MOST_LIMITS else ()
+        for (value, operator), names in named:
             text = brief(f"{operator} {value:g}  {', '.join(names)}", 32)
             y = max(free, (value - low) / (high - low))
             style: Any = {"va": "center", "color": LIMIT, "fontsize": 7.5}

@@ -1,7 +1,7 @@
 """Makes the rows of pages, reports and recordings from a knowledge base and a tree."""
 
 import logging
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from itertools import count
@@ -17,7 +17,7 @@ from py_trees.trees import BehaviourTree
 from py_trees.visitors import VisitorBase
 
 from kb import DiagnosticProblem, Event, KnowledgeBase, ReconfigurationPlan, RequiredAction
-from kb.network import Node
+from kb.network import Network, Node
 from missions.engine.adaptations import Adaptation, AdaptationLog, is_news, plans_after
 from missions.engine.mission import Message, MissionError, Sample, Verdict
 from missions.engine.runner import Listener, MissionRun, RosaRun
@@ -107,13 +107,14 @@ class Recorder:
         self._own = None
         if header is None:
             self._own = AdaptationLog(kb, self.adapted)
-        self._elements: dict[str, Node] = {}
+        self._network: Network | None = None
+        self._elements: dict[str, dict[str, Any]] = {}  # by key, as they are in that network
         self._counts = Counter[str]()  # by track
         self._troubles: set[str] = set()
         self._posed_at = -inf
-        self._task_plans: list[Any] = []
+        self._task_plans = deque[Any](maxlen=PLANS)
         self._last_plans: dict[Any, Any] = {}  # by behaviour
-        self._describe(kb.now)
+        self._look(kb.now)
         for action in kb.required_actions:
             self.acted(action.number, action)
         self._tree = (
@@ -197,10 +198,7 @@ class Recorder:
                 return
         more: dict[str, Any] = {"verb": event.verb, "changes": event.changes}
         self.log("event", level_of(event), event.text, time, event.number, **more)
-        if event.verb == "amend":
-            self._describe(time)
-        else:
-            self._look(time)
+        self._look(time)
         if event.verb in ("request_action", "cancel_action"):
             records = reversed(self.kb.history.actions)
             record = next(record for record in records if record.action == event.subject)
@@ -216,24 +214,21 @@ class Recorder:
             self._own.ticking(time)
             self._own.settle()
 
-    def _describe(self, time: float) -> None:
-        """Write rows for all elements that there are now."""
-        with self.kb.reading() as state:
-            present = {key_of(node): node for node in state.network.present()}
-        for key in self._elements:
-            if key not in present:
-                self.put("element", key, None, time)
-        for key, node in present.items():
-            self.put("element", key, described(node), time)
-        self._elements = present
-        self._look(time)
-
     def _look(self, time: float) -> None:
         """Write rows for what has changed of any element, and why."""
+        with self.kb.reading() as state:
+            network = state.network
+            known = facts_of(state)
+        if network is not self._network:
+            self._network = network
+            gone = self._elements
+            self._elements = {key: described(node) for key, node, _ in known}
+            for key, element in {**dict.fromkeys(gone), **self._elements}.items():
+                self.put("element", key, element, time)
         changed: dict[str, Node] = {}
-        for key, track, value in facts_of(self.kb, self._elements):
-            node = self._elements[key]
-            if self.put(track, key, value, time) and node.kind not in ("attribute", "constraint"):
+        for key, node, facts in known:
+            is_news = [self.put(track, key, value, time) for track, value in facts.items()]
+            if any(is_news) and node.kind not in ("attribute", "constraint"):
                 changed[key] = node
                 if node.kind in ("function design", "configuration"):
                     changed[key_of(node.used_by[0])] = node.used_by[0]
@@ -248,8 +243,6 @@ class Recorder:
         if self._own is not None:
             self._own.settle()
             self._own.ticking(self.kb.now)
-        with self.kb.reading():  # facts may be told by other threads than the one that ticks
-            del self._task_plans[:-PLANS]
 
     def ticked(self, planning: Iterable[Any]) -> None:
         """End a tick in which these behaviours may have made task plans."""

@@ -65,6 +65,7 @@ class Rows:
 
     Attributes:
         first: number of the oldest row that is kept; the first row of all has number 0.
+        now: time of the last row [s].
         listeners: functions that are called with each new row, e.g. to write it to a file.
     """
 
@@ -75,16 +76,11 @@ class Rows:
         self._rows: list[Row] = []
         self._latest: defaultdict[str, dict[int | str, Row]] = defaultdict(dict)
         self._lock = Lock()
-        self._now = 0.0
+        self.now = 0.0
 
     @property
     def next(self) -> int:
         return self.first + len(self._rows)
-
-    @property
-    def now(self) -> float:
-        """Time of the last row [s]."""
-        return self._now
 
     def put(self, time: float, track: str, key: int | str, value: object) -> bool:
         """Append a row, unless its value is the current one; a measurement is always appended.
@@ -99,8 +95,8 @@ class Rows:
             current = latest[key][3] if key in latest else None
             if current == value and track != "value":
                 return False
-            self._now = max(self._now, round(time, 3))
-            row = latest[key] = (self._now, track, key, value)
+            self.now = max(self.now, round(time, 3))
+            row = latest[key] = (self.now, track, key, value)
             self._rows.append(row)
             if self._keep is not None and len(self._rows) > 1.25 * self._keep:
                 self._forget(len(self._rows) - self._keep)

@@ -93,10 +93,7 @@ def convert(value: Value, wanted: Any) -> Value:  # noqa: ANN401  # a type of va
             return CASTS[wanted](value)
         if is_instance_of_type(value, wanted):
             return value
-    except NotImplementedError:  # py_trees does not look into it
-        if isinstance(value, get_origin(wanted)):
-            return value
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, NotImplementedError):
         pass
     raise NodeError(f"{value!r} is no {type_name(wanted)}")
 

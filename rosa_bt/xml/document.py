@@ -253,17 +253,14 @@ class Document:
                         self._add(self.models, model)
             elif element.tag == "include":
                 self._include(element, folder)
-            else:
-                self.note(element.where, f"<{element.tag}> means nothing in <root>")
         return root
 
     def _is_version_3(self, root: Element) -> bool:
         """Tell whether a file is of version 3: it says so, or has its nodes and says nothing."""
         version = root.get("BTCPP_format", "")
-        names = set[str | None]()
+        is_old = version[:1] == "3"
         for element in root.descendants if not version else ():
-            names.update([element.tag, element.get("ID"), *element.keys()])
-        is_old = version[:1] == "3" or not MARKS.isdisjoint(names)
+            is_old |= not MARKS.isdisjoint([element.tag, element.get("ID"), *element.keys()])
         if version not in ("3", "4"):
             given = f"BTCPP_format {version!r}" if version else "no BTCPP_format"
             self.note(root.where, f"it has {given}; read as version {3 if is_old else 4}")

@@ -178,9 +178,6 @@ class XmlNode(Named, Composite, is_node=False):
         self.status = yield from self.decide()
         yield self
 
-    def update(self) -> Status:
-        return self.status
-
     def stop(self, new_status: Status = INVALID) -> None:
         """Halt: stop the children that are RUNNING, and forget the state of the node."""
         self.status = self.end(new_status)
@@ -329,12 +326,14 @@ class Sequence(XmlNode):
 
     Attributes:
         goes_on: the outcome of a child after which the next child is ticked.
+        is_reactive: tick the children from the first in each tick.
         is_async: be RUNNING for a tick after a child that ended in its first tick.
         keeps_place: keep `current_child` also when a child ends the node, and when the node is
             halted.
     """
 
     goes_on = SUCCESS
+    is_reactive = False
     is_async = False
     keeps_place = False
     current_child: Behaviour | None = None
@@ -350,16 +349,21 @@ class Sequence(XmlNode):
 
     def tick_in_order(self, slots: list[Slot]) -> Ticking:
         start = 0
-        if self.current_child in self.children:
+        if self.is_reactive:
+            self._skipped = 0
+        elif self.current_child in self.children:
             start = self.children.index(self.current_child)
         for place, slot in enumerate(slots[start:], start):
             self.current_child = slot.node
             was_idle = slot.status is SKIPPED
             verdict = yield from slot.tick()
             if verdict is RUNNING:
-                return RUNNING
-            if verdict is SKIPPED:
+                if self.waits_for(place):
+                    return RUNNING
+            elif verdict is SKIPPED:
                 self._skipped += 1
+                if self.is_reactive:
+                    slot.reset()
             elif verdict is not self.goes_on:
                 return self.end(verdict, *(slots[:place] if self.keeps_place else ()))
             elif self.is_async and was_idle and slot is not slots[-1]:
@@ -368,6 +372,12 @@ class Sequence(XmlNode):
         is_skipped = self._skipped == len(slots)
         self.current_child = None
         return self.end(SKIPPED if is_skipped else self.goes_on)
+
+    def waits_for(self, place: int) -> bool:
+        """Tell whether the tick ends at this child, which is RUNNING."""
+        if self.is_reactive:
+            self.reset_children(self.slots[place])
+        return True
 
 
 class AsyncSequence(Sequence):
@@ -394,46 +404,24 @@ class AsyncFallback(Fallback):
     is_async = True
 
 
-class ReactiveSequence(XmlNode):
+class ReactiveSequence(Sequence):
     """Ticks the children from the first in each tick.
 
     A running child resets and halts all others.
     """
 
-    goes_on = SUCCESS
-    is_reactive_sequence = True
-
-    def decide(self) -> Ticking:
-        skipped = 0
-        for place, slot in enumerate(self.slots):
-            verdict = yield from slot.tick()
-            if verdict is RUNNING:
-                if self.waits_for(place):
-                    return RUNNING
-            elif verdict is SKIPPED:
-                skipped += 1
-                slot.reset()
-            elif verdict is not self.goes_on:
-                return self.end(verdict)
-        return self.end(SKIPPED if skipped == len(self.children) else self.goes_on)
-
-    def waits_for(self, place: int) -> bool:
-        """Tell whether the tick ends at this child, which is RUNNING."""
-        self.reset_children(self.slots[place])
-        return True
+    is_reactive = True
 
 
 class ReactiveFallback(ReactiveSequence):
     """Goes on after a failure."""
 
     goes_on = FAILURE
-    is_reactive_sequence = False
 
 
 class PipelineSequence(ReactiveSequence):
     """A sequence that ticks earlier children again, and goes on even if one is RUNNING then."""
 
-    is_reactive_sequence = False
     _furthest = 0
 
     def waits_for(self, place: int) -> bool:
@@ -705,15 +693,11 @@ class RunOnce(Gate, then_skip=True):
     After that it is skipped, or with then_skip="false" returns that outcome.
     """
 
-    @property
-    def runs(self) -> bool:  # type: ignore[override]  # depends on the state here
-        return self._last not in DONE
-
     def forget(self) -> None:
         """Remember that it has run."""
 
     def instead(self) -> Status | None:
-        if self.runs:
+        if self._last not in DONE:
             return None
         return SKIPPED if self.ports.get("then_skip") else self._last
 
@@ -933,21 +917,15 @@ class NonblockingSequence(XmlNode):
         return RUNNING if is_open else self.end(SUCCESS)
 
 
-class PersistentSequence(XmlNode, current_child_idx=int):
+class PersistentSequence(Sequence, current_child_idx=int):
     """A sequence that keeps its place on the blackboard, also when it is halted."""
 
     def decide(self) -> Ticking:
-        start = self.ports.get(*self.PORTS)
-        verdict = SUCCESS
-        for place, slot in enumerate(self.slots[start:], start):
-            self.ports.set("current_child_idx", place)
-            verdict = yield from slot.tick()
-            if verdict is RUNNING:
-                return RUNNING
-            if verdict is FAILURE:
-                break
-        self.ports.set("current_child_idx", 0)
-        return self.end(FAILURE if verdict is FAILURE else SUCCESS)
+        self.current_child = self.children[self.ports.get(*self.PORTS)]
+        verdict = yield from super().decide()
+        child = self.current_child
+        self.ports.set("current_child_idx", self.children.index(child) if child else 0)
+        return SUCCESS if verdict is SKIPPED else verdict
 
 
 class PauseResumeController(

@@ -123,8 +123,6 @@ class _Run:
             raise NodeError(f"there is no {name!r} on the blackboard; `{name} := ...` makes it")
         entry = board.make(name)
         value = self.value(expression)
-        if value is None:
-            raise NodeError(f"the value that is assigned to {name!r} is empty")
         before = entry.value
         if sign not in (":=", "="):
             value = _operate(sign[0], before, value)

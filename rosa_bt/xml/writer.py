@@ -147,7 +147,7 @@ class _Writer:
             known = self._registry or BehaviourRegistry(kb=None)
             name = known.name_of(node)
             tag = name or kind.__name__
-            registration = known.entries.get(tag) or Registration(kind, None, {"kb": None})
+            registration = known.entries.get(tag) or Registration(kind, {"kb": None})
             if name or not (self._registry or node.children or tag in NODES):
                 problem = wrong_id(tag) or _add_arguments(node, registration, attributes)
             else:
@@ -175,6 +175,10 @@ def _add_arguments(node: Behaviour, registration: Registration, attributes: dict
     return problem
 
 
+def _places(root: Behaviour) -> list[tuple[Behaviour, Behaviour | None]]:
+    return [(node, node.parent) for node in root.iterate()]
+
+
 class NumberedTree(_Writer):
     """A tree as XML with numbered nodes, for programs that watch it.
 
@@ -192,8 +196,7 @@ class NumberedTree(_Writer):
 
     def __init__(self, root: Behaviour) -> None:
         super().__init__()
-        self._root = root
-        self._children = [(node, list(node.children)) for node in root.iterate() if node.children]
+        self._places = _places(root)
         self.numbers: dict[Behaviour, int] = {}
         self.subtrees: dict[str, SubTree | None] = {}
         self._path = ""
@@ -206,8 +209,7 @@ class NumberedTree(_Writer):
 
     def shows(self, root: Behaviour) -> bool:
         """Tell whether it still shows the tree: no child was added, removed or moved."""
-        same = all(node.children == children for node, children in self._children)
-        return root is self._root and same
+        return _places(root) == self._places
 
     def tree(self, root: Behaviour) -> str:
         name, slot = _content(root)

@@ -22,7 +22,7 @@ def stored(path):
 
 
 def answers(kb, *, ended=False):
-    """Return everything that can be asked; with `ended`, as if open plans had been abandoned."""
+    """Return everything that can be asked; with `ended`, as if what is open had been abandoned."""
     elements = [
         *kb.actions.values(),
         *kb.functions.values(),
@@ -58,7 +58,7 @@ def answers(kb, *, ended=False):
         "plans": [plan(one, ended) for one in kb.plans],
         "requests": [request(action) for action in kb.history.actions],
         "open": [action.action for action in kb.required_actions],
-        "attempts": [attempt(one) for one in kb.history.attempts],
+        "attempts": [attempt(one, ended) for one in kb.history.attempts],
         "processes": [
             (process.component, process.pid, process.start, process.end)
             for process in kb.history.processes
@@ -79,7 +79,9 @@ def plan(one, ended):
     return (one.activate, one.deactivate, one.parameters, one.reason, one.start, result)
 
 
-def attempt(one):
+def attempt(one, ended):
+    result = "abandoned" if ended and one.end is None else one.result
+    reason = "its end is not known" if ended and one.end is None else one.reason
     return (
         str(one.plan),
         one.component,
@@ -88,8 +90,8 @@ def attempt(one):
         dict(one.parameters),
         one.number,
         one.start,
-        one.result,
-        one.reason,
+        result,
+        reason,
     )
 
 

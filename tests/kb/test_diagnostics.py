@@ -99,14 +99,26 @@ def test_worse_of_what_contradicts_itself_wins(kb):
     array = [
         status("component status", camera="ok", lidar="ok"),
         status("component status", camera="error"),
+        status("component status", ERROR, light="ok"),
         status("qa status", STALE, light="0.5"),
         status("qa status", ERROR, **{"battery level": "0.1"}),
     ]
     assert kb.receive(array) == ()
     assert kb.components["camera"].status is Status.FAILURE
     assert kb.components["lidar"].status is Status.FEASIBLE
+    assert kb.components["light"].status is Status.FAILURE
     assert kb.attributes["light"].is_stale
     assert kb.attributes["battery level"].value == 0.1
+
+
+def test_array_that_breaks_while_it_is_read_is_a_problem(kb):
+    def statuses():
+        yield status("qa status", light="0.5")
+        raise RuntimeError("connection lost")
+
+    (problem,) = kb.receive({"status": statuses()})
+    assert problem.reason == "it cannot be read: connection lost"
+    assert kb.attributes["light"].value == 0.5
 
 
 # -------------------------------------------------------------------- the forms of an array

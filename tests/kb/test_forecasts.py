@@ -262,3 +262,11 @@ def test_trend_with_outliers_stays_right():
     life = Life(rover(forecast="trend"))
     kb = life.measure(60, energy=lambda time: 0.01 if time % 7 == 3 else falling(time))
     assert kb.forecast("energy", 20.0).value == pytest.approx(0.6, abs=0.01)
+
+
+def test_burst_after_a_long_time_does_not_slow_a_forecast_down():
+    life = Life(rover(forecast="trend"), doing=None)
+    for number in range(60):
+        life.clock.now += 60.0 if number < 40 else 1e-6
+        life.kb.measure("energy", 0.5)
+    assert life.kb.forecast("energy", 10.0).value == 0.5

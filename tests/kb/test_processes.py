@@ -115,9 +115,9 @@ def test_required_component_runs_until_nothing_requires_it():
 @pytest.mark.parametrize(
     ("end", "how"),
     [
-        (signal.SIGSEGV, "by SIGSEGV"),
-        (signal.SIGKILL, "by SIGKILL"),
-        (signal.SIGTERM, "by SIGTERM"),
+        (signal.SIGSEGV, "by signal 11 (Segmentation fault)"),
+        (signal.SIGTERM, "by signal 15 (Terminated)"),
+        (signal.SIGRTMIN + 1, "by signal 35"),
     ],
 )
 def test_process_that_ends_by_itself_has_failed(end, how):
@@ -243,6 +243,22 @@ def test_close_ends_all():
         pid = robot.explore()
     assert not is_alive(pid)
     robot.processes.close()
+
+
+def test_close_that_is_interrupted_is_repeated_and_no_fork_ends_anything(monkeypatch):
+    processes = ProcessComponents({"camera": python(STUBBORN, grace_s=0.1)})
+    processes.activate("camera")
+    pid = processes._processes["camera"].popen.pid
+    monkeypatch.setattr(os, "getpid", lambda: 0)
+    processes.close()
+    assert is_alive(pid)
+    monkeypatch.undo()
+    monkeypatch.setattr(time, "sleep", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        processes.close()
+    monkeypatch.undo()
+    processes.close()
+    assert not is_alive(pid)
 
 
 @pytest.mark.parametrize(

@@ -89,6 +89,21 @@ def test_reopened_base_answers_the_same_from_a_snapshot(tmp_path):
     again.kb.close()
 
 
+def test_command_under_way_is_abandoned_when_a_store_is_opened_again(tmp_path):
+    model = Model("rover")
+    lidar = model.component("lidar", kind="process")
+    model.function("see").design("by lidar", [lidar])
+    model.action("explore", requires=[model.functions["see"]])
+    kb = KnowledgeBase(model, store=tmp_path / "log")
+    kb.request_action("explore")
+    plan = kb.select(designs={"see": "by lidar"})
+    kb.record_attempt(plan, "lidar", "activate")
+    kb.close()
+    with closing(KnowledgeBase(model, store=tmp_path / "log")) as kb:
+        (attempt,) = kb.history.attempts
+        assert (attempt.result, kb.latest_plan.result) == ("abandoned", "abandoned")
+
+
 def test_history_is_bounded_by_keep(tmp_path):
     kb = meter(tmp_path / "log", keep=20)
     for number in range(12_000):

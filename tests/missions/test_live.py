@@ -32,11 +32,10 @@ def address(view, path="ws"):
     return base.replace("http", "ws") + path + (f"?{query}" if query else "")
 
 
-def status_of(url, **headers):
+def status_of(url, method="GET", **headers):
+    request = urllib.request.Request(url, headers=headers, method=method)
     try:
-        with urllib.request.urlopen(
-            urllib.request.Request(url, headers=headers), timeout=SOON_S
-        ) as answer:
+        with urllib.request.urlopen(request, timeout=SOON_S) as answer:
             return answer.status, answer.read().decode()
     except urllib.error.HTTPError as error:
         return error.code, error.read().decode()
@@ -153,6 +152,11 @@ def test_page_without_leave_may_look_and_do_nothing(view):
     for said in ({"do": "pause"}, {"do": "inject", "fault": "measure energy=0.1"}):
         (*_, answer) = talk(view, said, until=lambda one: "error" in one)
         assert "may only watch" in answer["error"]
+
+
+def test_page_answers_only_get_and_head(view):
+    codes = [status_of(view.url, method)[0] for method in ("GET", "HEAD", "POST", "DELETE")]
+    assert codes == [200, 200, 405, 405]
 
 
 def test_nobody_else_s_page_may_look(view):

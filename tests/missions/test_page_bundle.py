@@ -11,7 +11,7 @@ import pytest
 
 PAGE = Path(__file__).parents[2] / "missions" / "views" / "page"
 BUILT = ("page.css", "page.js")
-MOST_LINES, LONGEST_LINE = 2_450, 140
+MOST_LINES, LONGEST_LINE = 2_300, 140
 
 
 def sources():

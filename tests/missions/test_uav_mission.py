@@ -10,7 +10,7 @@ from running import Watcher, rosa_run, run_mission
 
 from kb import KnowledgeBase
 from missions.engine.mission import MissionError, Percepts, find_mission
-from missions.engine.percepts import sensed
+from missions.engine.percepts import failed, recovered, sensed
 from missions.engine.settings import RunSettings
 from missions.engine.task_layer import TASK_KINDS
 from missions.uav.model import uav_model
@@ -100,12 +100,12 @@ class Mishaps(UavWorld):
     def jam(self, lasts_s):
         self.is_jammed = True
         self.let_go()
-        self.publish("component status", "gripper", "FALSE")
+        self.messages.append(failed(self.now, "gripper"))
         self.script += ((self.now + lasts_s, "recover", 0.0),)
 
     def recover(self, _):
         self.is_jammed = False
-        self.publish("component status", "gripper", "recovered")
+        self.messages.append(recovered(self.now, "gripper"))
 
     def report(self, x):
         self.want((x, 3.0), is_reported=True)

@@ -232,7 +232,14 @@ def test_transition_names_actions_of_the_tree_and_has_one_place(kb):
         UnknownName, match="unknown action of the tree 'serch'; did you mean 'search'"
     ):
         switch_safely(root, {("serch", "charge"): Success("land")})
-    with pytest.raises(TreeChangeError, match="2 behaviours do 'charge'"):
+    with pytest.raises(RuntimeError, match="'land' already has parent 'switch to charge'"):
+        switch_safely(root, {("search", "charge"): Success("land")})
+
+
+def test_transition_in_a_parallel_is_refused(kb):
+    policy = ParallelPolicy.SuccessOnAll()
+    root = Parallel("both", policy, [Act(kb, "search"), Act(kb, "charge")])
+    with pytest.raises(TreeChangeError, match="'search' is below 'both': its actions run at the"):
         switch_safely(root, {("search", "charge"): Success("land")})
 
 
@@ -335,7 +342,7 @@ def test_failure_for_a_real_reason_surfaces(kb, compose, expected):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: do_until_unfeasible([Success("a")], Success("b")), "takes behaviours, not"),
+        (lambda: do_until_unfeasible([Success("a")], Success("b")), "children must be behaviours"),
         (lambda: TreeRunner(Success("a"), clock=0.0), "a function that returns the time"),
         (lambda: KnowledgeBase(Model("robot"), clock=0.0), "a function that returns the time"),
     ],

@@ -33,7 +33,7 @@ function Entry({ entry: { t, level, text, what, about } }) {
   const go = () => {
     seek(t);
     const isMeant = ([, { name, kind }]) => kind !== "constraint" && (about.includes(name) || text.includes(name));
-    const element = run.value.last("element").find(isMeant);
+    const element = run.value.last("element").findLast(isMeant); // an action before what it needs
     if (element) selected.value = element[0];
   };
   return (
