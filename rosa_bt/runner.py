@@ -189,8 +189,7 @@ class TreeRunner(BehaviourTree):
         """Take what is new in the tree, and call `halting` of the actions that are not over yet."""
         self._take_all()
         for kb in self._bases:
-            if requests_of(kb).halting:
-                advance_halting(kb)
+            advance_halting(kb)
 
     def _raise_error(self) -> None:
         if self._raises and self.errors:

@@ -17,12 +17,11 @@ from py_trees.common import Status
 from py_trees.ports import PortInformation, PortsMixin
 from py_trees.ports_utils import convert_str_to_type, is_instance_of_type
 
+from rosa_bt.decorators import Clock
 from rosa_bt.exceptions import RosaBtError, hint
 
 Value = Any
 """A text, a number, whatever the program wrote, or None."""
-Clock = Callable[[], float]
-"""Gives the time [s]."""
 
 _WHOLE = re.compile(r"-?\d+", re.ASCII)
 _NUMBER = re.compile(

@@ -160,9 +160,17 @@ class XmlNode(Named, Composite, is_node=False):
                 self._slots[child] = Slot(child, is_plain(child))
         return [self._slots[child] for child in self.children]
 
+    @property
+    def child(self) -> Slot:
+        """The slot of the first child."""
+        return self.slots[0]
+
     def decide(self) -> Ticking:
-        """Do the work of one tick."""
-        raise NotImplementedError
+        """Do the work of one tick; by default, that of a node with one child."""
+        verdict = yield from self.child.tick()
+        if verdict in DONE:
+            self.child.reset()
+        return verdict
 
     def forget(self) -> None:
         """Return attributes that begin with an underscore to the values in the class."""
@@ -208,16 +216,6 @@ class OneChild(XmlNode, is_node=False):
     """
 
     arity = (1, 1)
-
-    @property
-    def child(self) -> Slot:
-        return self.slots[0]
-
-    def decide(self) -> Ticking:
-        verdict = yield from self.child.tick()
-        if verdict in DONE:
-            self.child.reset()
-        return verdict
 
 
 def is_plain(leaf: Behaviour) -> bool:
