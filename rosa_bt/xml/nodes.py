@@ -242,12 +242,17 @@ class AlwaysFailure(AlwaysSuccess):
     outcome = FAILURE
 
 
-class Script(Named, code=str):
-    """Runs a script; then SUCCESS."""
+class Scripted(Named, is_node=False):
+    """A node whose first port has a script."""
 
     def prepare(self, ports: Ports) -> None:
         super().prepare(ports)
-        self.script = parse_script(ports.get("code"), ports.blackboard)
+        code, *_ = self.PORTS
+        self.script = parse_script(ports.get(code), ports.blackboard)
+
+
+class Script(Scripted, code=str):
+    """Runs a script; then SUCCESS."""
 
     def update(self) -> Status:
         self.script()
@@ -334,7 +339,6 @@ class Sequence(XmlNode):
     is_reactive = False
     is_async = False
     keeps_place = False
-    current_child: Behaviour | None = None
     _skipped = 0
 
     def forget(self) -> None:
@@ -700,22 +704,18 @@ class RunOnce(Gate, then_skip=True):
         return SKIPPED if self.ports.get("then_skip") else self._last
 
 
-class Precondition(Gate, **{"if": str, "else": FAILURE}):
+class Precondition(Gate, Scripted, **{"if": str, "else": FAILURE}):
     """Ticks the child if the script `if` is true; else returns `else`.
 
     Once the child runs, `if` is not asked.
     """
-
-    def prepare(self, ports: Ports) -> None:
-        super().prepare(ports)
-        self._condition = parse_script(ports.get("if"), ports.blackboard)
 
     def forget(self) -> None:
         """Remember whether the child runs."""
 
     def instead(self) -> Status | None:
         verdict: Status = self.ports.get("else")  # a wrong outcome raises in the first tick
-        return None if self._last is SKIPPED or truth(self._condition()) else verdict
+        return None if self._last is SKIPPED or truth(self.script()) else verdict
 
 
 class SkipUnlessUpdated(Gate, entry=None):
