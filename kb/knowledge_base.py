@@ -835,7 +835,8 @@ class KnowledgeBase:
 
     def _publish(self, last: int = 0) -> None:
         """Call the subscribers, and wait if the store is too far behind."""
-        self._publisher.deliver()
+        if self._publisher.subscribers:
+            self._publisher.deliver()
         if self.store is not None:
             self.store.proceed(0 if self._publisher.is_held() else last)
 
