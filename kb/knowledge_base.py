@@ -29,6 +29,7 @@ from kb.elements import (
     flag,
     status_of,
     table,
+    weights,
 )
 from kb.events import RECORDS, Event, Publisher, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
@@ -39,7 +40,6 @@ from kb.model import Model
 from kb.network import Network, Node
 from kb.ontology import Answer, Ontology
 from kb.records import (
-    RESULTS,
     Attempt,
     HistoryView,
     Log,
@@ -56,9 +56,7 @@ from kb.situations import (
     ElementLike,
     Situation,
     outline,
-    preferred,
     resolve,
-    value_in_range,
 )
 from kb.state import KEPT, Reason, State
 from kb.status import Status
@@ -107,8 +105,7 @@ def _update(method: MethodT) -> MethodT:
             self._prepare(now)
             result = method(self, *args, **kwargs)
             last = self.log.last
-        if self._publisher.subscribers or self.store is not None:
-            self._publish(last)
+        self._publish(last)
         return result
 
     _REPLAYABLE[method.__name__.removeprefix("_")] = updating
@@ -137,15 +134,6 @@ class Reading:
             raise
 
     __exit__ = property(attrgetter("_lock.__exit__"))
-
-
-class _ModelObserver:
-    """Passes changes of the model on to a knowledge base, which its methods stand for."""
-
-    def __init__(self, prepare: Any, amended: Any, heard: Any) -> None:  # noqa: ANN401  # bound methods
-        self.prepare = prepare
-        self.amended = amended
-        self.heard = heard
 
 
 class KnowledgeBase:
@@ -220,10 +208,7 @@ class KnowledgeBase:
             self._begin(model.facts, self._now)
         self.history = HistoryView(self._records, self.reading)
         self._ontology = Ontology(self)
-        self._observer = _ModelObserver(
-            self._catch_up_with_time, self._record_amendment, self._publish
-        )
-        model.watch(self._observer)
+        model.watch(self._follow_model)
         if self.store is not None:
             self.store.start(self.log, self._lock, self._snapshot, self._record_store_message)
             finalize(self, self.store.close)
@@ -359,7 +344,7 @@ class KnowledgeBase:
         node = self._network.attributes[attribute]
         element: Any = node.element
         if not (type(value) is float and isfinite(value) and element.low <= value <= element.high):
-            value = value_in_range(f"{attribute} cannot be measured as", value, node)
+            value = element.checked(value, "be measured as")
         words = ""
         if self._publisher.subscribers or self.log.witnesses:
             thresholds = [constraint.element.value for constraint in node.constraints]
@@ -491,7 +476,12 @@ class KnowledgeBase:
                 or unfeasible.
         """
         node = self._network.actions[action]
-        wanted = preferred(self._network, preference)
+        attributes = self._network.attributes
+        wanted: str | Mapping[str, float] | None
+        if isinstance(preference, str):
+            wanted = attributes[preference].name
+        else:
+            wanted = weights(preference, attributes)
         if node.name in self._records.required:
             return Reply(True, f"{node.name} is required already")
         if self._state.status[node] is Status.UNFEASIBLE:
@@ -581,8 +571,7 @@ class KnowledgeBase:
 
         When a plan completes, all other open plans are abandoned.
         """
-        if result not in RESULTS:
-            check_result(result)
+        check_result(result)
         record = self._plan_of(plan)
         if record.end is not None:
             return False
@@ -640,8 +629,7 @@ class KnowledgeBase:
         The attempt may be given by its serial number; the result is "completed", "failed" or
         "abandoned". When a "configure" command completes, its parameters are in force.
         """
-        if result not in RESULTS:
-            check_result(result)
+        check_result(result)
         serial = attempt.serial if isinstance(attempt, Attempt) else attempt
         record = self._records.attempts.get(serial)
         if record is None or record.end is not None:
@@ -888,8 +876,11 @@ class KnowledgeBase:
         self.log.append(Event(1, now, "begin", ()))
         self._revision = 1
 
-    def _record_amendment(self, change: elements.Amended) -> None:
+    def _follow_model(self, change: elements.Amended | None) -> None:
         """Record a change of the model, unless it is recorded already."""
+        if change is None:
+            self._catch_up_with_time()
+            return
         with self._lock:
             self._complete_event()
             if change is self._followed:

@@ -65,13 +65,13 @@ class Switch(RosaAction):
 def facts(route: Route) -> Mapping[str, bool | float]:
     """Return what holds now and what it costs.
 
-    Updated with `Route.revision`, not with every metre and joule.
+    Updated with every fact and percept, but not as the robot drives on or draws energy.
     """
-    return _facts(route, route.revision)
+    return _facts(route, route.kb.revision, route.percepts.revision)
 
 
 @lru_cache(maxsize=8)
-def _facts(route: Route, _: tuple[int, int]) -> Mapping[str, bool | float]:
+def _facts(route: Route, *_: int) -> Mapping[str, bool | float]:
     task = route.task
     at, running = task.start
     # each question counts from what is left now

@@ -39,7 +39,7 @@ class Route:
         self.kb = kb
         self.modes = Modes(kb)
         self._map = building
-        self._percepts = percepts
+        self.percepts = percepts
         self._weights = weights
         self._believed: tuple[object, ...] = ()
         self._answer: Answer | None = None
@@ -52,7 +52,7 @@ class Route:
         """The map, with the light that was reported."""
         corridors = dict(self._map.corridors)
         for name, corridor in corridors.items():
-            light = self._percepts.value(f"light in {name}")
+            light = self.percepts.value(f"light in {name}")
             if light is not None:
                 corridors[name] = replace(corridor, light=light)
         return replace(self._map, corridors=corridors)
@@ -60,7 +60,7 @@ class Route:
     @property
     def place(self) -> Place:
         """Where the robot is; within a corridor, the place that it came from and how far."""
-        holds = self._percepts.holds
+        holds = self.percepts.holds
         reported = (place for place in self._map.places if holds(f"at {place}"))
         name = next(reported, self._map.start)
         for corridor in self._map.exits(name):
@@ -85,11 +85,6 @@ class Route:
         energy_j = self.kb.attributes["energy"].value
         limit_j = inf if energy_j is None else (1.0 - RESERVE) * max(0.0, energy_j)
         return Task(self.building, self.modes, self._weights, self.place, limit_j)
-
-    @property
-    def revision(self) -> tuple[int, int]:
-        """Changes with every fact and percept, but not as the robot drives on or draws energy."""
-        return self.kb.revision, self._percepts.revision
 
     def measure(self, **demands: float) -> None:
         """Tell the knowledge base the demands, as measurements of attributes."""

@@ -253,8 +253,6 @@ class Document:
                         self._add(self.models, model)
             elif element.tag == "include":
                 self._include(element, folder)
-            else:
-                self.note(element.where, f"<{element.tag}> means nothing in <root>")
         return root
 
     def _is_version_3(self, root: Element) -> bool:

@@ -178,9 +178,6 @@ class XmlNode(Named, Composite, is_node=False):
         self.status = yield from self.decide()
         yield self
 
-    def update(self) -> Status:
-        return self.status
-
     def stop(self, new_status: Status = INVALID) -> None:
         """Halt: stop the children that are RUNNING, and forget the state of the node."""
         self.status = self.end(new_status)

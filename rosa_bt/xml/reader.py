@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
-from typing import Any, Literal, TypeVar, overload
+from typing import Any, TypeVar, overload
 
 from py_trees.behaviour import Behaviour
 from py_trees.ports import PortInformation, PortsMixin
@@ -21,7 +21,6 @@ from rosa_bt.xml.scripts import parse_script
 
 Factory = Callable[..., Behaviour]
 F = TypeVar("F", bound=Factory)
-Kind = Literal["action", "condition"]
 
 _ROLES = frozenset({"name", "child", "children", "blackboard", "behaviour_class_name"})
 """Parameters that no attribute of an element sets."""
@@ -40,7 +39,6 @@ class Registration:
     """A behaviour that is registered under a name."""
 
     factory: Factory
-    kind: Kind | None
     bound: Mapping[str, Any]
     """Arguments for every factory that has a parameter of the same name."""
 
@@ -110,18 +108,19 @@ class BehaviourRegistry:
 
     def __init__(self, **bound: Any) -> None:  # noqa: ANN401  # whatever the behaviours of the user need
         self.bound = bound
-        self.entries = {name: Registration(make, None, bound) for name, make in _DEFAULTS.items()}
+        self.entries = {name: Registration(make, bound) for name, make in _DEFAULTS.items()}
 
     @overload
-    def register(self, name: str, *, kind: Kind | None = None) -> Callable[[F], F]: ...
+    def register(self, name: str) -> Callable[[F], F]: ...
 
     @overload
-    def register(self, name: str, factory: F, *, kind: Kind | None = None) -> F: ...
+    def register(self, name: str, factory: F) -> F: ...
 
-    def register(
-        self, name: str, factory: Factory | None = None, *, kind: Kind | None = None
-    ) -> object:
+    def register(self, name: str, factory: Factory | None = None) -> object:
         """Register a class of behaviours, or a function that makes a behaviour; also a decorator.
+
+        A leaf is a condition, which is ticked again after it has finished even if it was not reset,
+        if the file says so, or else if the class has no `initialise` and `terminate` of its own.
 
         The parameters `name`, `child` and `children` are set from the file, `blackboard` to that of
         the tree; those that are annotated as Behaviour take one child each. Every other parameter,
@@ -131,18 +130,15 @@ class BehaviourRegistry:
             name: the tag or ID in the file; a node of that name is replaced.
             factory: the class or function, which is returned as it is; without it, a decorator is
                 returned.
-            kind: "condition" for a leaf that is ticked again after it has finished, even if it was
-                not reset; "action" for a leaf that is not. Without it, the file decides, or else
-                the class: without `initialise` and `terminate` of its own, it makes conditions.
 
         Raises:
             RegistryError: the name is taken.
         """
         if factory is None:
-            return lambda factory: self.register(name, factory, kind=kind)
+            return lambda factory: self.register(name, factory)
         if name in self.entries and self.entries[name].factory is not _DEFAULTS.get(name):
             raise RegistryError(f"{name!r} is registered already; choose another name")
-        self.entries[name] = Registration(factory, kind, self.bound)
+        self.entries[name] = Registration(factory, self.bound)
         return factory
 
     def name_of(self, behaviour: Behaviour) -> str | None:
@@ -315,11 +311,9 @@ class _Builder:
         return behaviour
 
     def _is_condition(self, element: Element, node: Behaviour) -> bool:
-        entry = self._registry.entries.get(element.node)
-        model = self._document.models.get(element.node, element)
-        for kind in (entry.kind, element.tag.lower(), model.tag.lower()) if entry else ():
-            if kind in ("action", "condition"):
-                return kind == "condition"
+        tags = {element.tag, self._document.models.get(element.node, element).tag}
+        if element.node in self._registry.entries and tags & {"Action", "Condition"}:
+            return "Action" not in tags
         return is_plain(node)
 
     def _subtree(self, element: Element, around: Blackboard) -> SubTree:

@@ -147,7 +147,7 @@ class _Writer:
             known = self._registry or BehaviourRegistry(kb=None)
             name = known.name_of(node)
             tag = name or kind.__name__
-            registration = known.entries.get(tag) or Registration(kind, None, {"kb": None})
+            registration = known.entries.get(tag) or Registration(kind, {"kb": None})
             if name or not (self._registry or node.children or tag in NODES):
                 problem = wrong_id(tag) or _add_arguments(node, registration, attributes)
             else:
