@@ -30,6 +30,7 @@ from kb.elements import (
     flag,
     status_of,
     table,
+    weights,
 )
 from kb.events import RECORDS, Event, Publisher, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
@@ -40,7 +41,6 @@ from kb.model import Model
 from kb.network import Network, Node
 from kb.ontology import Answer, Ontology
 from kb.records import (
-    RESULTS,
     Attempt,
     HistoryView,
     Log,
@@ -57,9 +57,7 @@ from kb.situations import (
     ElementLike,
     Situation,
     outline,
-    preferred,
     resolve,
-    value_in_range,
 )
 from kb.state import KEPT, Reason, State
 from kb.status import Status
@@ -109,8 +107,7 @@ def _update(method: MethodT) -> MethodT:
             self._prepare(now)
             result = method(self, *args, **kwargs)
             last = self.log.last
-        if self._publisher.subscribers or self.store is not None:
-            self._publish(last)
+        self._publish(last)
         return result
 
     _REPLAYABLE[method.__name__.removeprefix("_")] = updating
@@ -353,7 +350,7 @@ class KnowledgeBase:
         node = self._network.attributes[attribute]
         element: Any = node.element
         if not (type(value) is float and isfinite(value) and element.low <= value <= element.high):
-            value = value_in_range(f"{attribute} cannot be measured as", value, node)
+            value = element.checked(value, "be measured as")
         words = ""
         if self._publisher.subscribers or self.log.witnesses:
             thresholds = [constraint.element.value for constraint in node.constraints]
@@ -485,7 +482,12 @@ class KnowledgeBase:
                 or unfeasible.
         """
         node = self._network.actions[action]
-        wanted = preferred(self._network, preference)
+        attributes = self._network.attributes
+        wanted: str | Mapping[str, float] | None
+        if isinstance(preference, str):
+            wanted = attributes[preference].name
+        else:
+            wanted = weights(preference, attributes)
         if node.name in self._records.required:
             return Reply(True, f"{node.name} is required already")
         if self._state.status[node] is Status.UNFEASIBLE:
@@ -575,8 +577,7 @@ class KnowledgeBase:
 
         When a plan completes, all other open plans are abandoned.
         """
-        if result not in RESULTS:
-            check_result(result)
+        check_result(result)
         record = self._plan_of(plan)
         if record.end is not None:
             return False
@@ -634,8 +635,7 @@ class KnowledgeBase:
         The attempt may be given by its serial number; the result is "completed", "failed" or
         "abandoned". When a "configure" command completes, its parameters are in force.
         """
-        if result not in RESULTS:
-            check_result(result)
+        check_result(result)
         serial = attempt.serial if isinstance(attempt, Attempt) else attempt
         record = self._records.attempts.get(serial)
         if record is None or record.end is not None:
