@@ -107,7 +107,8 @@ def _update(method: MethodT) -> MethodT:
             self._prepare(now)
             result = method(self, *args, **kwargs)
             last = self.log.last
-        self._publish(last)
+        if self._publisher.subscribers or self.store is not None:
+            self._publish(last)
         return result
 
     _REPLAYABLE[method.__name__.removeprefix("_")] = updating
