@@ -5,6 +5,7 @@ event, in a single step: from there on the event is in. Then it applies the even
 assigns, so that whoever comes next can repeat what an interrupt cut short.
 """
 
+import logging
 import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -17,7 +18,7 @@ from operator import attrgetter
 from pathlib import Path
 from threading import RLock
 from types import MappingProxyType
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Literal, TypeVar
 from weakref import WeakSet, finalize
 
 from kb import elements, views
@@ -62,6 +63,7 @@ from kb.state import KEPT, Reason, State
 from kb.status import Status
 from kb.store import Store
 
+_log = logging.getLogger(__name__)
 _CLOCK_SLACK_S: Final = 1.0
 """How far a clock may go back: clocks are corrected, and threads may be overtaken [s]."""
 _REPLAYABLE: Final[dict[str, Callable[..., object]]] = {}
@@ -105,7 +107,8 @@ def _update(method: MethodT) -> MethodT:
             self._prepare(now)
             result = method(self, *args, **kwargs)
             last = self.log.last
-        self._publish(last)
+        if self._publisher.subscribers or self.store is not None:
+            self._publish(last)
         return result
 
     _REPLAYABLE[method.__name__.removeprefix("_")] = updating
@@ -150,7 +153,9 @@ class KnowledgeBase:
             events of time are replayed in their places, and nowhere else.
 
     Time does not go back, so that facts keep their order: if the clock goes back up to a second,
-    time stands still until the clock has caught up. A clock that goes back further is refused.
+    time stands still until the clock has caught up. A clock that goes back further is refused, or
+    followed if the attribute `on_clock_set_back` is "follow": then time goes on from where it was,
+    and a warning is logged. A `rosa_bt.TreeRunner` sets it for the bases of its tree.
 
     Facts may be recorded from any thread; each call holds the lock until all that follows is
     inferred. Each fact is in or out: if a call is interrupted, the base answers as if the fact was
@@ -182,6 +187,8 @@ class KnowledgeBase:
         model.settle()
         self.model = model
         self._clock = clock
+        self._set_back_s = 0.0
+        self.on_clock_set_back: Literal["refuse", "follow"] = "refuse"
         self._is_timed = is_timed
         self._lock = RLock()
         _LOCKS.add(self._lock)
@@ -790,13 +797,17 @@ class KnowledgeBase:
         last = self.log.time  # before the clock: another thread may record something meanwhile
         now = self._clock()
         is_time = isinstance(now, int | float) and isfinite(now)
-        if not is_time or now < last - _CLOCK_SLACK_S:
+        is_set_back = is_time and now + self._set_back_s < last - _CLOCK_SLACK_S
+        if is_set_back and self.on_clock_set_back == "follow":
+            _log.warning("the clock gives %g s after %g s; time goes on from there", now, last)
+            self._set_back_s = last - now  # not added, as several threads may see it
+        elif is_set_back or not is_time:
             raise InvalidValue(
                 f"the clock gives {now!r} after {last!r} s, and facts keep their order: give the "
                 "knowledge base a clock in seconds that is not set back, e.g. time.monotonic; "
                 "nothing was recorded"
             )
-        return max(float(now), last)
+        return max(now + self._set_back_s, last)
 
     def _prepare(self, now: float) -> None:
         """Complete what was interrupted, and record what time has caused until now [s]."""
@@ -835,7 +846,8 @@ class KnowledgeBase:
 
     def _publish(self, last: int = 0) -> None:
         """Call the subscribers, and wait if the store is too far behind."""
-        self._publisher.deliver()
+        if self._publisher.subscribers:
+            self._publisher.deliver()
         if self.store is not None:
             self.store.proceed(0 if self._publisher.is_held() else last)
 
