@@ -112,22 +112,24 @@ class StagedExecutor:
         """
         plans = kb.history.open_plans
         plan = plans[-1] if plans else None
+        commands = self._stage
         with kb.reading() as state:
-            is_same = plan is self._plan and state.network is self._network
-        if self._is_under_way or not is_same:
-            self._abandon_commands(kb)
-            with kb.reading() as state:
+            is_new = plan is not self._plan or state.network is not self._network
+            if is_new or self._is_under_way:
                 self._begin(state, plans)
+        is_to_abandon = self._is_under_way or (is_new and commands)
+        self._is_under_way = True
+        if is_to_abandon:
+            self._abandon(kb, commands)
         if plan is not None:
-            self._is_under_way = True
             self._advance(kb, plan)
-            self._is_under_way = False
+        self._is_under_way = False
 
-    def _abandon_commands(self, kb: KnowledgeBase) -> None:
-        """Cancel the commands under way; an interrupt may have kept them from being noted."""
-        for command in self._stage:
+    def _abandon(self, kb: KnowledgeBase, commands: Iterable[_Command]) -> None:
+        """Cancel commands, and end all attempts; the base is not held, for that may take time."""
+        for command in commands:
             command.cancel()
-        for attempt in kb.history.attempts if self._is_under_way or self._stage else ():
+        for attempt in kb.history.attempts:
             if attempt.end is None:
                 reason = "it was interrupted before its answer was known"
                 kb.finish_attempt(attempt, "abandoned", reason)

@@ -41,6 +41,7 @@ from kb.model import Model
 from kb.network import Network, Node
 from kb.ontology import Answer, Ontology
 from kb.records import (
+    RESULTS,
     Attempt,
     HistoryView,
     Log,
@@ -578,7 +579,8 @@ class KnowledgeBase:
 
         When a plan completes, all other open plans are abandoned.
         """
-        check_result(result)
+        if result not in RESULTS:
+            check_result(result)
         record = self._plan_of(plan)
         if record.end is not None:
             return False
@@ -636,7 +638,8 @@ class KnowledgeBase:
         The attempt may be given by its serial number; the result is "completed", "failed" or
         "abandoned". When a "configure" command completes, its parameters are in force.
         """
-        check_result(result)
+        if result not in RESULTS:
+            check_result(result)
         serial = attempt.serial if isinstance(attempt, Attempt) else attempt
         record = self._records.attempts.get(serial)
         if record is None or record.end is not None:
