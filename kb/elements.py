@@ -430,15 +430,19 @@ class Attribute(Element):
             raise UnknownName("action", name, self.model.actions)
         self.model.change(self, rates=(*self.rates, Rate(finite_number(rate), name, learns)))
 
-    def checked(self, value: object) -> float:
+    def checked(self, value: object, use: str = "be") -> float:
         """Return a value of this attribute as a float.
 
-        What is no finite number, or out of range, is refused.
+        What is no finite number, or out of range, is refused; `use` says for what it is given.
         """
-        number = finite_number(value)
-        if self.low <= number <= self.high:
-            return number
-        raise InvalidValue(f"{self.name} is {self.range}")
+        try:
+            number = finite_number(value)
+            if self.low <= number <= self.high:
+                return number
+            why = f"{self.name} is {self.range}"
+        except InvalidValue as error:
+            why = str(error)
+        raise InvalidValue(f"{self.name} cannot {use} {value!r:.200}: {why}")
 
     @property
     def range(self) -> str:
@@ -631,6 +635,19 @@ def meant_by(name: object, tables: Mapping[str, Mapping[str, T]], what: str, adv
         first = f"{next(iter(named)).removeprefix('function ')}s[{name!r}]"
         raise AmbiguousName(f"{name!r} names several things: {kinds}; {advice}{first}")
     return next(iter(named.values()))
+
+
+def weights(
+    preference: Mapping[str, float] | None, attributes: Mapping[str, Any]
+) -> Mapping[str, float] | None:
+    """Return the weights of attributes by name, a copy that cannot be changed; None for none."""
+    if not isinstance(preference or {}, Mapping):
+        what = "a preference is given as weights by name of attribute"
+        raise ModelError(f"{what}, not as {preference!r}")
+    checked = {
+        attributes[name].name: finite_number(weight) for name, weight in (preference or {}).items()
+    }
+    return MappingProxyType(checked) if checked else None
 
 
 def exact(value: float) -> str:

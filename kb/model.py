@@ -59,6 +59,7 @@ from kb.elements import (
     listed,
     meant_by,
     status_of,
+    weights,
 )
 from kb.elements import table as html_table
 from kb.exceptions import DuplicateName, ModelError, UnknownName
@@ -492,23 +493,13 @@ class Model:
             elif name == "value":
                 value = self.attributes[values["attribute"]].checked(value)
             elif name == "preference":
-                value = self._weights(value)
+                value = weights(value, self.attributes)
             elif name != "result":
                 value = self._field(type(fact), kind, name, value)
             elif value is not None:
                 check_result(value)
             values[name] = value
         return replace(fact, **values)
-
-    def _weights(self, preference: object) -> Mapping[str, float] | None:
-        """Return a preference with the weights of attributes of this model."""
-        if not preference:
-            return None
-        if not isinstance(preference, Mapping):
-            what = "a preference is given as weights by name of attribute"
-            raise ModelError(f"{what}, not as {preference!r}")
-        weights = {self.attributes[name].name: preference[name] for name in preference}
-        return MappingProxyType({name: finite_number(weights[name]) for name in weights})
 
     def _own(self, what: str, element: object, *classes: type) -> Any:  # noqa: ANN401  # of the classes
         """Return an element of this model, given by itself or by a name that only one has."""

@@ -135,7 +135,10 @@ class Lookahead:
         if self._detour is not None:
             if self._is_under_way(self._detour):
                 return self.latest
-            self._take_up()
+            for name in self._postponed:  # unless somebody else has asserted something
+                if name in kb.actions and self.latest.reason in kb.why(kb.actions[name]):
+                    kb.retract_status(kb.actions[name])
+            self._detour = None
         elif kb.revision == revision and kb.now < time + self._period:
             return self.latest
         value = self._value()
@@ -161,14 +164,6 @@ class Lookahead:
             return False
         full = detour.restores.items()
         return any((kb.attributes[name].value or 0.0) < 0.95 * value for name, value in full)
-
-    def _take_up(self) -> None:
-        """Let what was put off be feasible again, unless somebody else has asserted something."""
-        kb = self._kb
-        for name in self._postponed:
-            if name in kb.actions and self.latest.reason in kb.why(kb.actions[name]):
-                kb.retract_status(kb.actions[name])
-        self._detour = None
 
     def _put_off(self, value: MissionValue, detour: Detour) -> None:
         """Assert the gaining actions unfeasible, for at most twice the time of the detour."""

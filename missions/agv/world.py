@@ -176,7 +176,8 @@ class BuildingWorld(NamedComponents, mission.World):
         if not ordered or ordered == self._ordered:
             return
         self._ordered = ordered
-        corridor, origin = ordered["corridor"], ordered["origin"]
+        corridor = ordered["corridor"]
+        origin = ordered["origin"]
         to = self._building.corridors[corridor].other(origin)
         is_on_it = self._inside == corridor or (self._at == origin and not self._inside)
         self._way = [(corridor, to)] if is_on_it else [(self._inside, origin), (corridor, to)]

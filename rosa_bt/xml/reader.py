@@ -210,7 +210,13 @@ def load_xml(
     board.enums = enums or {}
     board.clock = clock or board.clock
     board.has_own_clock = clock is not None
-    return _Builder(document, registry).tree(document.main(tree), document.root, None, board)
+    main = tree or document.root.get("main_tree_to_execute")
+    if main is None:
+        if len(document.trees) != 1:
+            advice = "say load_xml(..., tree=...) or write main_tree_to_execute in <root>"
+            raise document.root.error(f"which tree? There are: {[*document.trees]}; {advice}")
+        (main,) = document.trees
+    return _Builder(document, registry).tree(main, document.root, None, board)
 
 
 class _Builder:
@@ -240,14 +246,22 @@ class _Builder:
         except Exception as error:  # constructors of the user may raise anything
             problem = str(error) if isinstance(error, RosaBtError) else in_words(error)
             raise element.error(f"<{element.node}> cannot be made: {problem}") from error
-        is_condition = self._is_condition(element, node)
+        is_condition = is_plain(node)
+        tags = {element.tag, self._document.models.get(element.node, element).tag}
+        if element.node in self._registry.entries and tags & {"Action", "Condition"}:
+            is_condition = "Action" not in tags
         return Slot(node, is_condition, (element.tag, element.attrib), rules)
 
     def _node(self, element: Element, board: Blackboard) -> Behaviour:
         tag = element.node
         entry = self._registry.entries.get(tag) or NODES.get(tag)
         if entry is None and tag != "SubTree":
-            raise element.error(self._unknown(tag))
+            problem = f"is unknown; {hint(tag, [*self._registry.entries, *NODES], 'nodes')}"
+            if tag in MARKS:
+                problem = 'is of version 3; write BTCPP_format="3", or its name in version 4'
+            elif tag in self._document.trees:
+                problem = f'is a tree; write <SubTree ID="{tag}"/>'
+            raise element.error(f"<{tag}> {problem}")
         count = len(element)
         least, most = entry.arity if entry else (0, 0)
         if not least <= count <= most:
@@ -310,12 +324,6 @@ class _Builder:
                 raise element.error(f"its class does {action!r} already; leave action=... out")
         return behaviour
 
-    def _is_condition(self, element: Element, node: Behaviour) -> bool:
-        tags = {element.tag, self._document.models.get(element.node, element).tag}
-        if element.node in self._registry.entries and tags & {"Action", "Condition"}:
-            return "Action" not in tags
-        return is_plain(node)
-
     def _subtree(self, element: Element, around: Blackboard) -> SubTree:
         tree = element.needed("ID")
         autoremap = convert(element.get("_autoremap", "false"), bool)
@@ -327,13 +335,6 @@ class _Builder:
                 ports[name] = port.needed("default")
         board = Blackboard(around, ports, autoremap=autoremap)
         return self.tree(tree, element, element.get("name"), board)
-
-    def _unknown(self, tag: str) -> str:
-        if tag in MARKS:
-            return f'<{tag}> is of version 3; write BTCPP_format="3", or its name in version 4'
-        if tag in self._document.trees:
-            return f'<{tag}> is a tree; write <SubTree ID="{tag}"/>'
-        return f"<{tag}> is unknown; {hint(tag, [*self._registry.entries, *NODES], 'nodes')}"
 
 
 def ports_of(behaviour: Behaviour) -> Declared:
