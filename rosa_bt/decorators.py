@@ -136,6 +136,11 @@ class Timed(ClockFollower):
             raise ValueError(f"{kind} {self.name!r}: {name} is at least {least}, not {value!r}")
         super().__setattr__(name, value)
 
+    def follow(self, clock: Clock) -> None:
+        """Count by this clock; what has begun by another one begins anew."""
+        super().follow(clock)
+        self._since = clock()
+
     def initialise(self) -> None:
         super().initialise()
         self._since = self._clock()
