@@ -259,6 +259,15 @@ def test_leaves_of_ours_can_be_written():
     assert tree.tip().plants == 4
 
 
+def test_measurement_takes_its_status_from_a_key():
+    _, registry = rover()
+    text = '<Measurement attribute="light" operator=">=" value="0.6" unknown="{status}"/>'
+    tree = load_xml(wrapped(text), registry)
+    tree.blackboard["status"] = Status.RUNNING
+    tree.tick_once()
+    assert tree.status is Status.RUNNING
+
+
 @pytest.mark.parametrize(
     ("element", "message"),
     [
