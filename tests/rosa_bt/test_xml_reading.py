@@ -32,6 +32,9 @@ REFUSED = {
     "<aa/>": "<aa> is unknown; did you mean 'a'?",
     "<Sequense><a/></Sequense>": "did you mean 'Sequence' or",
     "<Other/>": '<Other> is a tree; write <SubTree ID="Other"/>',
+    "<Subtree ID='Other'/>": "<Subtree> is unknown; did you mean 'SubTree'?",
+    "<ManualSelector><a/></ManualSelector>": "no counterpart in version 4; register it",
+    "<Parallel success_count='2'><a/></Parallel>": "has 1 children; success_count cannot be more",
     "<SubTreePlus ID='Other'/>": '<SubTreePlus> is of version 3; write BTCPP_format="3"',
     "<a/><b/>": "a tree has one child, not 2; put a Sequence around",
     "<Inverter><a/><b/></Inverter>": "children of <Inverter>: 2; it takes 1 to 1",
@@ -66,6 +69,7 @@ def test_node_that_cannot_be_made_is_refused_with_its_place(content):
 
 NEEDS = '<SubTree ID="B"><input_port name="p" default=""/></SubTree>'
 NO_FILES = {
+    "": "<text>:1: it is no XML: no element found",
     "<root": "<text>:1: it is no XML",
     "<root>\n<BehaviorTree>\n</root>": "<text>:3: it is no XML: mismatched tag",
     "<tree/>": "the outermost element is <root>, not <tree>",
