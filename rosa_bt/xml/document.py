@@ -229,7 +229,7 @@ class Document:
                 self._add(self.trees, element)
                 for node in element.descendants:
                     if is_old:
-                        for change in _convert(node, names):
+                        for change in _convert(node, {*names, *self.trees}):
                             self.note(node.where, f"version 3 is converted: {change}")
                     elif "BTCPP_format" not in root.attrib:
                         for change in _convert(Element(node.tag, node.attrib), names):

@@ -128,6 +128,13 @@ def test_file_of_a_ros_package_is_found_where_ros_has_it(tmp_path, monkeypatch):
     assert names(load(root('<include ros_pkg="nav" path="x.xml"/>'))) == ["ok", "X"]
 
 
+def test_tree_of_an_included_file_is_a_tag_in_version_3(tmp_path):
+    (tmp_path / "dock.xml").write_text(root(tree("Dock")))
+    main = root('<include path="dock.xml"/>', tree("Main", "<Dock/>"), main="Main")
+    (tmp_path / "main.xml").write_text(main.replace("<root", '<root BTCPP_format="3"'))
+    assert names(load(tmp_path / "main.xml")) == ["ok", "Dock", "Main"]
+
+
 def test_include_is_relative_to_its_file_and_read_once(tmp_path):
     includes = '<include path="parts/one.xml"/><include path="./parts/two.xml"/>'
     content = '<Sequence><SubTree ID="One"/><SubTree ID="Two"/></Sequence>'
