@@ -170,10 +170,10 @@ def check_name(engine: str) -> str | None:
         return None
     from unified_planning.engines.factory import DEFAULT_ENGINES
 
-    if engine in DEFAULT_ENGINES:
-        return None
     names = [*DOWNWARD, KAIROS, *DEFAULT_ENGINES]
-    return f"there is no planning engine {engine!r}; {nearest(engine, names)}"
+    if engine in names:
+        return None
+    return f"there is no planning engine {engine!r}; {nearest(str(engine), names)}"
 
 
 def missing_package(engine: str) -> str | None:
