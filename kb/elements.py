@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from html import escape
 from types import MappingProxyType
-from typing import Annotated, Any, Final, NamedTuple, Protocol, TypeGuard, TypeVar, get_type_hints
+from typing import Annotated, Any, Final, NamedTuple, TypeGuard, TypeVar, get_type_hints
 
 from kb.exceptions import AmbiguousName, InvalidValue, ModelError, UnknownName
 from kb.status import OPERATORS, STATUSES, Status
@@ -254,29 +254,8 @@ def _one_of(what: str, options: type[StrEnum], *, can_change: bool = True) -> Fi
     return Field(lambda _, __, value: choice(what, options, value), can_change)
 
 
-class Owner(Protocol):
-    """A model, for its elements and for those who read it; see `Model`."""
-
-    name: str
-    actions: Mapping[str, "Action"]
-    attributes: Mapping[str, "Attribute"]
-    tables: Mapping[type, Mapping[Any, Any]]
-    notes: list[str]
-    places: dict["Element | Constraint", str]
-
-    @property
-    def constraints(self) -> tuple["Constraint", ...]: ...
-    @property
-    def estimations(self) -> tuple["Estimation", ...]: ...
-    @property
-    def facts(self) -> tuple["Fact", ...]: ...
-    def change(self, element: "Changeable | str", **fields: object) -> None: ...
-    def constrain_all(
-        self, elements: Iterable["Constrainable"], constraints: Iterable["Expression"]
-    ) -> tuple["Constraint", ...]: ...
-    def state(
-        self, cls: type[T], values: Mapping[str, Any], constraints: Iterable["Expression"] = ()
-    ) -> T: ...
+Owner = Any
+"""A model: its module imports this one."""
 
 
 @dataclass(frozen=True)
@@ -289,7 +268,7 @@ class Expression:
     attribute: str
     operator: str
     value: float
-    model: Owner | None = field(default=None, repr=False, compare=False)
+    model: Owner = field(default=None, repr=False, compare=False)
     hysteresis: float = 0.0
     dwell: float = 0.0
 
@@ -378,7 +357,8 @@ def _element_of(model: Any, cls: type, name: str) -> Any:  # noqa: ANN401  # a m
 class _Constrainable(Element):
     def constrain(self, *expressions: Expression) -> tuple[Constraint, ...]:
         """Add one constraint per expression to this element, or none if one of them is refused."""
-        return self.model.constrain_all([self], expressions)  # type: ignore[list-item]  # a subclass is one of the four
+        added: tuple[Constraint, ...] = self.model.constrain([self], *expressions)
+        return added
 
 
 @dataclass(frozen=True, eq=False)
@@ -450,15 +430,19 @@ class Attribute(Element):
             raise UnknownName("action", name, self.model.actions)
         self.model.change(self, rates=(*self.rates, Rate(finite_number(rate), name, learns)))
 
-    def checked(self, value: object) -> float:
+    def checked(self, value: object, use: str = "be") -> float:
         """Return a value of this attribute as a float.
 
-        What is no finite number, or out of range, is refused.
+        What is no finite number, or out of range, is refused; `use` says for what it is given.
         """
-        number = finite_number(value)
-        if self.low <= number <= self.high:
-            return number
-        raise InvalidValue(f"{self.name} is {self.range}")
+        try:
+            number = finite_number(value)
+            if self.low <= number <= self.high:
+                return number
+            why = f"{self.name} is {self.range}"
+        except InvalidValue as error:
+            why = str(error)
+        raise InvalidValue(f"{self.name} cannot {use} {value!r:.200}: {why}")
 
     @property
     def range(self) -> str:
@@ -526,7 +510,9 @@ class Component(_Estimable):
         The lowest priority number is tried first.
         """
         stated = {"name": name, "component": self, "parameters": parameters or {}}
-        return self.model.state(Configuration, {**stated, "priority": priority}, constraints)
+        stated["priority"] = priority
+        declared: Configuration = self.model.state(Configuration, stated, constraints)
+        return declared
 
 
 @dataclass(frozen=True, eq=False)
@@ -557,7 +543,8 @@ class Function(Element):
         The lowest priority number is tried first.
         """
         stated = {"name": name, "function": self, "components": components, "priority": priority}
-        return self.model.state(FunctionDesign, stated, constraints)
+        declared: FunctionDesign = self.model.state(FunctionDesign, stated, constraints)
+        return declared
 
 
 @dataclass(frozen=True, eq=False)
@@ -648,6 +635,19 @@ def meant_by(name: object, tables: Mapping[str, Mapping[str, T]], what: str, adv
         first = f"{next(iter(named)).removeprefix('function ')}s[{name!r}]"
         raise AmbiguousName(f"{name!r} names several things: {kinds}; {advice}{first}")
     return next(iter(named.values()))
+
+
+def weights(
+    preference: Mapping[str, float] | None, attributes: Mapping[str, Any]
+) -> Mapping[str, float] | None:
+    """Return the weights of attributes by name, a copy that cannot be changed; None for none."""
+    if not isinstance(preference or {}, Mapping):
+        what = "a preference is given as weights by name of attribute"
+        raise ModelError(f"{what}, not as {preference!r}")
+    checked = {
+        attributes[name].name: finite_number(weight) for name, weight in (preference or {}).items()
+    }
+    return MappingProxyType(checked) if checked else None
 
 
 def exact(value: float) -> str:

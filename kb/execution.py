@@ -112,24 +112,30 @@ class StagedExecutor:
         """
         plans = kb.history.open_plans
         plan = plans[-1] if plans else None
+        commands = self._stage
         with kb.reading() as state:
             is_new = plan is not self._plan or state.network is not self._network
             if is_new or self._is_under_way:
-                self._begin(kb, state, plans)
+                self._begin(state, plans)
+        is_to_abandon = self._is_under_way or (is_new and commands)
+        self._is_under_way = True
+        if is_to_abandon:
+            self._abandon(kb, commands)
         if plan is not None:
-            self._is_under_way = True
             self._advance(kb, plan)
-            self._is_under_way = False
+        self._is_under_way = False
 
-    def _begin(self, kb: KnowledgeBase, state: State, plans: Sequence[ReconfigurationPlan]) -> None:
-        """Begin with the stages of the latest plan, after commands under way are abandoned."""
-        if self._is_under_way or self._stage:
-            for command in self._stage:
-                command.cancel()
-            for attempt in kb.history.attempts:
-                if attempt.end is None:
-                    reason = "it was interrupted before its answer was known"
-                    kb.finish_attempt(attempt, "abandoned", reason)
+    def _abandon(self, kb: KnowledgeBase, commands: Iterable[_Command]) -> None:
+        """Cancel commands, and end all attempts; the base is not held, for that may take time."""
+        for command in commands:
+            command.cancel()
+        for attempt in kb.history.attempts:
+            if attempt.end is None:
+                reason = "it was interrupted before its answer was known"
+                kb.finish_attempt(attempt, "abandoned", reason)
+
+    def _begin(self, state: State, plans: Sequence[ReconfigurationPlan]) -> None:
+        """Begin with the stages of the latest plan."""
         plan = plans[-1] if plans else None
         if plan is not self._plan:
             self._failed = set()
@@ -143,16 +149,17 @@ class StagedExecutor:
         stop = list(plan.deactivate)
         for older in plans[:-1]:  # completing this plan abandons them
             for name in (*older.activate, *older.deactivate):
-                node = state.network.components.get(name)
-                if node is not None and state.is_required(node) is not (node in state.active):
+                node = state.network.components[name]
+                if state.is_required(node) is not (node in state.active):
                     (stop if node in state.active else start).append(name)
         running = []
         for name in [name for open_plan in plans for name in open_plan.parameters]:
-            part = state.network.configurations.get(name)
-            if part in state.selected and part.used_by[0] in state.active:
-                running.append(part.used_by[0].name)
-                if part.used_by[0].element.stops_to_configure:
-                    self._paused.append(part.used_by[0].name)
+            part = state.network.configurations[name]
+            owner = part.used_by[0]
+            if part in state.selected and owner in state.active:
+                running.append(owner.name)
+                if owner.element.stops_to_configure:
+                    self._paused.append(owner.name)
         self._paused = [name for name in self._paused if name not in stop]
         started = [*start, *self._paused]
         self._stages = [
@@ -162,12 +169,10 @@ class StagedExecutor:
         ]
 
     def _commands(self, state: State, operation: str, names: Iterable[str]) -> list[_Command]:
-        """Return commands to those components that are in the model."""
+        """Return commands to components."""
         commands = []
         for name in dict.fromkeys(names):
-            node = state.network.components.get(name)
-            if node is None:
-                continue
+            node = state.network.components[name]
             configurations: list[Configuration | None] = [None]
             if operation == "configure":
                 parts = [part for part in node.requires if part in state.selected]
@@ -201,8 +206,7 @@ class StagedExecutor:
         in_vain: dict[Node, None] = {}
         with kb.reading() as state:
             for name in plan.activate:
-                node = state.network.components.get(name)
-                for design in state.users(node) if node else ():
+                for design in state.users(state.network.components[name]):
                     if state.status[design.used_by[0]] is Status.UNFEASIBLE:
                         in_vain[design] = None
         for design in in_vain:

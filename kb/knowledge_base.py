@@ -5,6 +5,7 @@ event, in a single step: from there on the event is in. Then it applies the even
 assigns, so that whoever comes next can repeat what an interrupt cut short.
 """
 
+import logging
 import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -17,7 +18,7 @@ from operator import attrgetter
 from pathlib import Path
 from threading import RLock
 from types import MappingProxyType
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Literal, TypeVar
 from weakref import WeakSet, finalize
 
 from kb import elements, views
@@ -29,6 +30,7 @@ from kb.elements import (
     flag,
     status_of,
     table,
+    weights,
 )
 from kb.events import RECORDS, Event, Publisher, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
@@ -56,14 +58,13 @@ from kb.situations import (
     ElementLike,
     Situation,
     outline,
-    preferred,
     resolve,
-    value_in_range,
 )
 from kb.state import KEPT, Reason, State
 from kb.status import Status
 from kb.store import Store
 
+_log = logging.getLogger(__name__)
 _CLOCK_SLACK_S: Final = 1.0
 """How far a clock may go back: clocks are corrected, and threads may be overtaken [s]."""
 _REPLAYABLE: Final[dict[str, Callable[..., object]]] = {}
@@ -139,15 +140,6 @@ class Reading:
     __exit__ = property(attrgetter("_lock.__exit__"))
 
 
-class _ModelObserver:
-    """Passes changes of the model on to a knowledge base, which its methods stand for."""
-
-    def __init__(self, prepare: Any, amended: Any, heard: Any) -> None:  # noqa: ANN401  # bound methods
-        self.prepare = prepare
-        self.amended = amended
-        self.heard = heard
-
-
 class KnowledgeBase:
     """What is known about a robot now, and what follows from it.
 
@@ -162,7 +154,9 @@ class KnowledgeBase:
             events of time are replayed in their places, and nowhere else.
 
     Time does not go back, so that facts keep their order: if the clock goes back up to a second,
-    time stands still until the clock has caught up. A clock that goes back further is refused.
+    time stands still until the clock has caught up. A clock that goes back further is refused, or
+    followed if the attribute `on_clock_set_back` is "follow": then time goes on from where it was,
+    and a warning is logged. A `rosa_bt.TreeRunner` sets it for the bases of its tree.
 
     Facts may be recorded from any thread; each call holds the lock until all that follows is
     inferred. Each fact is in or out: if a call is interrupted, the base answers as if the fact was
@@ -194,6 +188,8 @@ class KnowledgeBase:
         model.settle()
         self.model = model
         self._clock = clock
+        self._set_back_s = 0.0
+        self.on_clock_set_back: Literal["refuse", "follow"] = "refuse"
         self._is_timed = is_timed
         self._lock = RLock()
         _LOCKS.add(self._lock)
@@ -220,10 +216,7 @@ class KnowledgeBase:
             self._begin(model.facts, self._now)
         self.history = HistoryView(self._records, self.reading)
         self._ontology = Ontology(self)
-        self._observer = _ModelObserver(
-            self._catch_up_with_time, self._record_amendment, self._publish
-        )
-        model.watch(self._observer)
+        model.watch(self._follow_model)
         if self.store is not None:
             self.store.start(self.log, self._lock, self._snapshot, self._record_store_message)
             finalize(self, self.store.close)
@@ -359,7 +352,7 @@ class KnowledgeBase:
         node = self._network.attributes[attribute]
         element: Any = node.element
         if not (type(value) is float and isfinite(value) and element.low <= value <= element.high):
-            value = value_in_range(f"{attribute} cannot be measured as", value, node)
+            value = element.checked(value, "be measured as")
         words = ""
         if self._publisher.subscribers or self.log.witnesses:
             thresholds = [constraint.element.value for constraint in node.constraints]
@@ -491,7 +484,12 @@ class KnowledgeBase:
                 or unfeasible.
         """
         node = self._network.actions[action]
-        wanted = preferred(self._network, preference)
+        attributes = self._network.attributes
+        wanted: str | Mapping[str, float] | None
+        if isinstance(preference, str):
+            wanted = attributes[preference].name
+        else:
+            wanted = weights(preference, attributes)
         if node.name in self._records.required:
             return Reply(True, f"{node.name} is required already")
         if self._state.status[node] is Status.UNFEASIBLE:
@@ -802,13 +800,17 @@ class KnowledgeBase:
         last = self.log.time  # before the clock: another thread may record something meanwhile
         now = self._clock()
         is_time = isinstance(now, int | float) and isfinite(now)
-        if not is_time or now < last - _CLOCK_SLACK_S:
+        is_set_back = is_time and now + self._set_back_s < last - _CLOCK_SLACK_S
+        if is_set_back and self.on_clock_set_back == "follow":
+            _log.warning("the clock gives %g s after %g s; time goes on from there", now, last)
+            self._set_back_s = last - now  # not added, as several threads may see it
+        elif is_set_back or not is_time:
             raise InvalidValue(
                 f"the clock gives {now!r} after {last!r} s, and facts keep their order: give the "
                 "knowledge base a clock in seconds that is not set back, e.g. time.monotonic; "
                 "nothing was recorded"
             )
-        return max(float(now), last)
+        return max(now + self._set_back_s, last)
 
     def _prepare(self, now: float) -> None:
         """Complete what was interrupted, and record what time has caused until now [s]."""
@@ -888,8 +890,11 @@ class KnowledgeBase:
         self.log.append(Event(1, now, "begin", ()))
         self._revision = 1
 
-    def _record_amendment(self, change: elements.Amended) -> None:
+    def _follow_model(self, change: elements.Amended | None) -> None:
         """Record a change of the model, unless it is recorded already."""
+        if change is None:
+            self._catch_up_with_time()
+            return
         with self._lock:
             self._complete_event()
             if change is self._followed:

@@ -17,8 +17,8 @@ from dataclasses import fields, replace
 from pathlib import Path
 from threading import RLock
 from types import MappingProxyType
-from typing import Any, Final, Protocol, Self, TypedDict, TypeVar, Unpack, get_args
-from weakref import ref
+from typing import Any, Final, Self, TypedDict, TypeVar, Unpack, get_args
+from weakref import WeakMethod
 
 from kb import elements
 from kb.checks import Finding, check_model
@@ -59,6 +59,7 @@ from kb.elements import (
     listed,
     meant_by,
     status_of,
+    weights,
 )
 from kb.elements import table as html_table
 from kb.exceptions import DuplicateName, ModelError, UnknownName
@@ -88,23 +89,12 @@ class Measured(TypedDict, total=False):
     rates: Sequence[Rate]
 
 
-class Observer(Protocol):
-    """An object that is informed of every change of a model."""
+Observer = Callable[[Amended | None], None]
+"""A method that is called with each change of a model, to `put` it when no fact is recorded.
 
-    def prepare(self) -> None:
-        """Called before the model changes.
-
-        If this raises an exception, the model does not change.
-        """
-
-    def amended(self, change: Amended) -> None:
-        """Called to `put` the change, when no fact is told.
-
-        Called again with it if the call was interrupted.
-        """
-
-    def heard(self) -> None:
-        """Called after all observers have been informed."""
+It is called again with a change that was interrupted, and with None before the first observer gets
+a change and after the last one did. If it raises an exception before, the model does not change.
+"""
 
 
 class Model:
@@ -131,7 +121,7 @@ class Model:
         for cls, kind in KINDS.items():
             self._tables[cls] = ByName(kind, siblings=self._tables)
         self._facts: list[Fact] = []
-        self._observers: list[ref[Observer]] = []
+        self._observers: list[WeakMethod[Observer]] = []
         self._changing = RLock()
         self.pending: Amended | None = None
         self.notes: list[str] = []
@@ -253,20 +243,15 @@ class Model:
         self._declare([element, *constrained])
         return element
 
-    def constrain(self, elements: Iterable[Constrainable], expression: Expression) -> Constraint:
-        """Add one constraint that applies to all of the elements."""
-        (constraint,) = self.constrain_all(elements, [expression])
-        return constraint
-
-    def constrain_all(
-        self, elements: Iterable[Constrainable], constraints: Iterable[Expression]
+    def constrain(
+        self, elements: Iterable[Constrainable], *expressions: Expression
     ) -> tuple[Constraint, ...]:
         """Add constraints that apply to all of the elements, or none if one of them is refused."""
         targets = dict.fromkeys(
             self._own("constrained", element, *get_args(Constrainable))
             for element in listed("constrained elements", elements)
         )
-        added = self._constraints(tuple(targets), constraints)
+        added = self._constraints(tuple(targets), expressions)
         if added and not targets:
             raise ModelError(f"{added[0]} constrains nothing; name at least one element")
         if added:
@@ -288,12 +273,14 @@ class Model:
         self._declare([estimation])
         return estimation
 
-    def add_fact(self, fact: Fact) -> None:
+    def add_fact(self, fact: Fact) -> Fact:
         """Add a fact that holds from the start; see `kb.elements`.
 
         Knowledge bases that exist already do not get it.
         """
-        self._facts.append(self._checked(fact))
+        checked = self._checked(fact)
+        self._facts.append(checked)
+        return checked
 
     def state(
         self, cls: type[T], values: Mapping[str, Any], constraints: Iterable[Expression] = ()
@@ -304,14 +291,14 @@ class Model:
         try:
             if cls is Constraint:
                 constrained = others.pop("constrained", ())
-                stated = self.constrain(constrained, Expression(**others))
+                (stated,) = self.constrain(constrained, Expression(**others))
             elif cls is Estimation:
                 stated = self.add_estimation(**others)
             elif issubclass(cls, Element):
                 stated = self.declare(cls, others.pop("name", ""), constraints, **others)
             else:
-                stated = self._checked(cls(**others))
-                self._facts.append(stated)
+                stated = cls(**others)
+                stated = self.add_fact(stated)
         except TypeError as error:
             raise ModelError(f"this {elements.ROSA[cls]} is not complete: {error}") from None
         return stated  # type: ignore[no-any-return]  # of the class
@@ -321,7 +308,7 @@ class Model:
 
         The model holds only a weak reference to it.
         """
-        self._observers.append(ref(observer, self._observers.remove))
+        self._observers.append(WeakMethod(observer, self._observers.remove))
 
     @classmethod
     def load(cls, paths: str | Path | Iterable[str | Path]) -> Self:
@@ -431,7 +418,7 @@ class Model:
             self.change(_referred(self, reference), **values)
         elif written[0][0] == "constraint":
             targets = [_referred(self, each) for each in written[0][1]["constrained"]]
-            self.constrain_all(targets, map(_expression, written))
+            self.constrain(targets, *map(_expression, written))
         else:
             (words, values), *constraints = written
             _declare(self, words, values, map(_expression, constraints))
@@ -447,7 +434,7 @@ class Model:
             if mine[0] and change is not None:
                 observers = self._watching()
                 for observer in observers:
-                    observer.amended(change)
+                    observer(change)
                 if not observers:
                     change.put()
                 self.pending = None
@@ -506,23 +493,13 @@ class Model:
             elif name == "value":
                 value = self.attributes[values["attribute"]].checked(value)
             elif name == "preference":
-                value = self._weights(value)
+                value = weights(value, self.attributes)
             elif name != "result":
                 value = self._field(type(fact), kind, name, value)
             elif value is not None:
                 check_result(value)
             values[name] = value
         return replace(fact, **values)
-
-    def _weights(self, preference: object) -> Mapping[str, float] | None:
-        """Return a preference with the weights of attributes of this model."""
-        if not preference:
-            return None
-        if not isinstance(preference, Mapping):
-            what = "a preference is given as weights by name of attribute"
-            raise ModelError(f"{what}, not as {preference!r}")
-        weights = {self.attributes[name].name: preference[name] for name in preference}
-        return MappingProxyType({name: finite_number(weights[name]) for name in weights})
 
     def _own(self, what: str, element: object, *classes: type) -> Any:  # noqa: ANN401  # of the classes
         """Return an element of this model, given by itself or by a name that only one has."""
@@ -581,13 +558,13 @@ class Model:
         self.settle()
         observers = self._watching()
         for observer in observers:
-            observer.prepare()
+            observer(None)
         with self._changing:
             written = write() if observers else None
             self.pending = Amended(how, tuple(elements), put, written)
             self.settle()
         for observer in observers:
-            observer.heard()
+            observer(None)
 
     def _watching(self) -> list[Observer]:
         return [observer for each in tuple(self._observers) if (observer := each()) is not None]

@@ -279,18 +279,12 @@ class Records:
                 _finish(self.required[name], result=result, reason=reason, end=now)
                 del self.required[name]
             case "finish_plan", (number, result):
-                plan = self.plans[number]
-                if plan.end is None:
-                    _finish(plan, result=result, end=now)
                 if result == "completed":
-                    for other in self.open_plans.values():
-                        if other.end is None:
-                            _finish(other, result="abandoned", end=now)
-                self.open_plans = {
-                    number: open_plan
-                    for number, open_plan in self.open_plans.items()
-                    if open_plan.end is None
-                }
+                    for other in [key for key in self.open_plans if key != number]:
+                        _finish(self.plans[other], result="abandoned", end=now)
+                        del self.open_plans[other]
+                _finish(self.plans[number], result=result, end=now)
+                self.open_plans.pop(number, None)
             case "component_started", (name, pid):
                 self._add(self.processes, Process(name, pid, now, number=event.number))
             case "component_ended", (name, pid):

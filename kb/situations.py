@@ -6,14 +6,13 @@ as the base would if some facts were different. No question changes anything.
 
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from types import MappingProxyType
 from typing import Final, TypeVar
 
 from kb import explain as explanation
 from kb import views
-from kb.elements import Constraint, Element, finite_number, listed, meant_by
+from kb.elements import Constraint, Element, listed, meant_by
 from kb.exceptions import InvalidValue
-from kb.network import Network, Node, Ref
+from kb.network import Node, Ref
 from kb.planning import Choice, Obsolete, by_owner, firsts_by_priority
 from kb.state import State, in_order
 from kb.status import UNFEASIBLE
@@ -64,19 +63,6 @@ def resolve(
     searched = {kind: network.kinds[kind] for kind in kinds if kind != "constraint"}
     advice = "pass the view meant, e.g. kb." if unique else ""
     return meant_by(element, searched, " or ".join(searched), advice)
-
-
-def preferred(
-    network: Network, preference: str | Mapping[str, float] | None
-) -> str | Mapping[str, float] | None:
-    """Return a preference as the name of an attribute, or finite weights by name."""
-    if isinstance(preference, str):
-        return network.attributes[preference].name
-    weights = {
-        network.attributes[name].name: finite_number(weight)
-        for name, weight in (preference or {}).items()
-    }
-    return MappingProxyType(weights) if weights else None
 
 
 def _selectable(state: State, nodes: Iterable[Node]) -> tuple[str, ...]:
@@ -243,18 +229,7 @@ class Situation:
             for name, value in values.items():
                 node = network.attributes[name]
                 if value is not None:
-                    value = value_in_range(f"{name} cannot be supposed to be", value, node)
+                    value = node.attribute.checked(value, "be supposed to be")
                 state.suppose_measurement(node, value)
             state.infer()
         return Situation(state, now)
-
-
-def value_in_range(refusal: str, value: object, attribute: Node) -> float:
-    """Return a value as a number in the attribute's range.
-
-    `refusal` begins the message of the error otherwise.
-    """
-    try:
-        return attribute.attribute.checked(value)
-    except InvalidValue as error:
-        raise InvalidValue(f"{refusal} {value!r:.200}: {error}") from None

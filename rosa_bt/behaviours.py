@@ -375,7 +375,11 @@ class RosaAction(Requester, ActionBehaviour):
         try:
             if has_begun:
                 try:
-                    self._rosa_save(new_status)
+                    progress = None if new_status is SUCCESS else self.save_progress()
+                    all_progress = requests_of(self.kb).progress
+                    all_progress.pop((self.action, self.name), None)
+                    if progress is not None:
+                        all_progress[self.action, self.name] = progress
                 finally:
                     self.terminate(new_status)
             ended = new_status
@@ -393,10 +397,3 @@ class RosaAction(Requester, ActionBehaviour):
                 self._rosa_request.advance_halting()
         self.status = ended
         self.iterator = self.tick()
-
-    def _rosa_save(self, new_status: Status) -> None:
-        progress = None if new_status is SUCCESS else self.save_progress()
-        all_progress = requests_of(self.kb).progress
-        all_progress.pop((self.action, self.name), None)
-        if progress is not None:
-            all_progress[self.action, self.name] = progress

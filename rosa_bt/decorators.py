@@ -123,6 +123,11 @@ class Timed(ClockFollower):
 
     _since = -math.inf
 
+    def follow(self, clock: Clock) -> None:
+        """Count by this clock; what has begun by another one begins anew."""
+        super().follow(clock)
+        self._since = clock()
+
     def initialise(self) -> None:
         super().initialise()
         self._since = self._clock()

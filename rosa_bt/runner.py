@@ -42,8 +42,8 @@ class TreeRunner(BehaviourTree):
         on_error: what happens when a behaviour raises: "fail", the behaviour fails, and its parent
             goes on; or "raise", the tree is stopped, and `tick` raises the exception.
         on_clock_set_back: what happens when the clock shows less than before: "follow", ticks go on
-            at once and durations go on; or "refuse", the tree is stopped, and `ClockError` is
-            raised.
+            at once and durations go on, also in the knowledge bases of the tree; or "refuse", the
+            tree is stopped for good, and `ClockError` is raised.
 
     Attributes:
         errors: the behaviours that raised since the last tick began, with their exceptions.
@@ -189,8 +189,7 @@ class TreeRunner(BehaviourTree):
         """Take what is new in the tree, and call `halting` of the actions that are not over yet."""
         self._take_all()
         for kb in self._bases:
-            if requests_of(kb).halting:
-                advance_halting(kb)
+            advance_halting(kb)
 
     def _raise_error(self) -> None:
         if self._raises and self.errors:
@@ -217,15 +216,28 @@ class TreeRunner(BehaviourTree):
                 halt(behaviour)
 
     def _take(self, behaviour: Behaviour) -> None:
-        follow_clock(behaviour, self._tree_time)
-        guard(behaviour)
-        if isinstance(behaviour, KbBehaviour | ForAction):
-            self._bases[behaviour.kb] = None
+        self._adopt(behaviour)
         if self._setup_arguments is not None:
             try:
                 behaviour.setup(**self._setup_arguments)
             except Exception as error:
                 report(behaviour, error, " (in setup)")
+
+    def _adopt(self, behaviour: Behaviour) -> None:
+        """Let a behaviour follow the clock, and guard it."""
+        follow_clock(behaviour, self._tree_time)
+        guard(behaviour)
+        if isinstance(behaviour, KbBehaviour | ForAction):
+            self._bases[behaviour.kb] = None
+            if not self._refuses:
+                behaviour.kb.on_clock_set_back = "follow"
+        if hasattr(behaviour, "adopt"):  # it makes behaviours itself, as a plan executor does
+            behaviour.adopt = self._adopt_made
+
+    def _adopt_made(self, behaviour: Behaviour) -> None:
+        """Adopt a behaviour that another one has just made, and sets up itself."""
+        self._adopt(behaviour)
+        self._nodes.append(behaviour)
 
     def _tree_time(self) -> float:
         """Return the time of the clock, without the jumps back [s]."""
@@ -239,7 +251,7 @@ class TreeRunner(BehaviourTree):
             return now
         told = f"the clock of {self.root.name!r} was set back from {before:g} s to {now:g} s"
         if self._refuses:
-            halt(self.root)
+            self.stop()
             raise ClockError(f"{told}; make a new TreeRunner, or say on_clock_set_back='follow'")
         _log.warning("%s; the tree goes on from there", told)
         self._set_back_s += before - now

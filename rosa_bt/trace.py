@@ -231,25 +231,20 @@ def read_trace(path: str | Path) -> Trace:
     for number, text in enumerate(whole.splitlines() or [b""], start=1):
         try:
             line = json.loads(text)
-            if number > 1:
-                ticks.append(_read_tick(line, ticks[-1]))
+            if number == 1:
+                model = str(line["model"])
+                version = line["rosa_bt_trace"]
+                if version != _VERSION:
+                    raise ValueError(f"version {version}; this program reads version {_VERSION}")
                 continue
-            version = line["rosa_bt_trace"]
-            model = str(line["model"])
+            for name, read in _READERS.items():
+                if name in line:
+                    line[name] = tuple(map(read, line[name]))
+            ticks.append(ticks[-1]._replace(**line))
         except Exception as error:  # a wrong line may raise anything
             problem = f"not a line of a trace ({type(error).__name__}: {error})"
             raise TraceError(f"{path}:{number}: {problem}") from None
-        if version != _VERSION:
-            how = f"this program reads version {_VERSION}"
-            raise TraceError(f"{path} has version {version}; {how}")
     return Trace(model, tuple(ticks[1:]))
-
-
-def _read_tick(line: dict[str, Any], before: Tick) -> Tick:
-    for name, read in _READERS.items():
-        if name in line:
-            line[name] = tuple(map(read, line[name]))
-    return before._replace(**line)
 
 
 def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Behaviour]) -> Trace:

@@ -135,7 +135,10 @@ class Lookahead:
         if self._detour is not None:
             if self._is_under_way(self._detour):
                 return self.latest
-            self._take_up()
+            for name in self._postponed:  # unless somebody else has asserted something
+                if name in kb.actions and self.latest.reason in kb.why(kb.actions[name]):
+                    kb.retract_status(kb.actions[name])
+            self._detour = None
         elif kb.revision == revision and kb.now < time + self._period:
             return self.latest
         value = self._value()
@@ -161,14 +164,6 @@ class Lookahead:
             return False
         full = detour.restores.items()
         return any((kb.attributes[name].value or 0.0) < 0.95 * value for name, value in full)
-
-    def _take_up(self) -> None:
-        """Let what was put off be feasible again, unless somebody else has asserted something."""
-        kb = self._kb
-        for name in self._postponed:
-            if name in kb.actions and self.latest.reason in kb.why(kb.actions[name]):
-                kb.retract_status(kb.actions[name])
-        self._detour = None
 
     def _put_off(self, value: MissionValue, detour: Detour) -> None:
         """Assert the gaining actions unfeasible, for at most twice the time of the detour."""
@@ -204,17 +199,12 @@ def _check(kb: KnowledgeBase, value: MissionValue) -> None:
     """Raise if the model does not have a name, or a number is not finite or out of its range."""
     if value.gains:
         finite_number(value.deadline)
-    parts: list[Gain | Detour] = [*value.gains, *value.detours]
-    for part in parts:
-        kb.is_feasible(part.action)
-        if not 0.0 <= finite_number(part.spread) < 1.0:
-            raise InvalidValue(
-                f"the spread of {part.action} is a share from 0 to below 1, not {part.spread!r}"
-            )
     for detour in value.detours:
+        kb.is_feasible(detour.action)
         for name in detour.restores:
             kb.attributes[name]
     for gain in value.gains:
+        kb.is_feasible(gain.action)
         if finite_number(gain.rate) < 0.0:
             raise InvalidValue(f"what {gain.action} gains is 0 or more a second, not {gain.rate!r}")
 
@@ -256,18 +246,19 @@ class _Question:
         self._levels: list[_Level] = []
         levels = []
         for name, full in detour.restores.items():
-            least = -inf
-            for constraint in kb.actions[gain.action].constraints:
-                if constraint.attribute == name and ">" in constraint.operator:
-                    least = max(least, constraint.value)
+            least = max(
+                [
+                    constraint.value
+                    for constraint in kb.actions[gain.action].constraints
+                    if constraint.attribute == name and ">" in constraint.operator
+                ],
+                default=-inf,
+            )
             work = self._slopes(kb, name, gain.action)
             change = self._slopes(kb, name, detour.action)
             low = kb.model.attributes[name].low
             self._levels.append(_Level(work, change, full, least, low))
-            level = kb.attributes[name].value
-            if level is None:
-                self._problem = f"{name} is not measured"
-            levels.append(level or 0.0)
+            levels.append(kb.attributes[name].value or 0.0)
         self._state = _State(value.deadline - kb.now, tuple(levels), value.away)
 
     def _slopes(self, kb: KnowledgeBase, name: str, action: str) -> tuple[float, ...]:

@@ -12,7 +12,8 @@ import time
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from shutil import rmtree
+from tempfile import mkdtemp
 from threading import Event, Lock
 from typing import Any, Final
 from weakref import WeakSet
@@ -84,7 +85,7 @@ class EngineProcess:
         if self._process is not None and self._process.poll() is None:
             return self._process
         self._end()
-        self._folder = TemporaryDirectory(prefix="rosa-pddl-")
+        self._folder = mkdtemp(prefix="rosa-pddl-")
         settings = {
             "PYTHONPATH": os.pathsep.join(sys.path),
             "PYTHONWARNINGS": "ignore",
@@ -96,7 +97,7 @@ class EngineProcess:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
-            cwd=self._folder.name,
+            cwd=self._folder,
             env=os.environ | settings,
         )
         self._process = process
@@ -118,7 +119,7 @@ class EngineProcess:
         if process is not None:
             _kill(process)
             process.communicate()  # which closes its pipes
-            self._folder.cleanup()
+            rmtree(self._folder, ignore_errors=True)
 
     def __del__(self) -> None:
         self.close()

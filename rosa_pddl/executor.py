@@ -72,7 +72,9 @@ class RunningStep:
         self._is_ticking = False
         self._nodes_set_up: list[Behaviour] = []
 
-    def begin(self, factory: Factory, parent: Behaviour, arguments: Mapping[str, object]) -> None:
+    def begin(
+        self, factory: Factory, parent: "PlanExecutor", arguments: Mapping[str, object]
+    ) -> None:
         """Make the behaviour and set it up; an error gets a note that names the step."""
         try:
             behaviour = factory(self.step)
@@ -82,13 +84,14 @@ class RunningStep:
                     f"{message} {behaviour!r}, expected a py_trees behaviour"
                 )
             self.behaviour = behaviour
+            behaviour.parent = parent
             for node in behaviour.iterate():
+                parent.adopt(node)
                 self._nodes_set_up.append(node)
                 node.setup(**arguments)
         except Exception as error:
             error.add_note(f"it was raised when the behaviour of {self.step} was made")
             raise
-        behaviour.parent = parent
 
     def tick(self) -> tuple[Status, str, list[Behaviour]]:
         """Tick the behaviour; return its status, its feedback message and the ticked nodes.
@@ -178,6 +181,8 @@ class PlanExecutor(Behaviour):
 
     Attributes:
         goals: the goals to reach; may be changed between ticks.
+        adopt: called with each behaviour that was made for a step, before its setup; a
+            `rosa_bt.TreeRunner` sets it, so that steps follow its clock and their errors are told.
 
     Raises:
         PddlError: the knowledge base does not know a ROSA action of the domain.
@@ -231,6 +236,7 @@ class PlanExecutor(Behaviour):
         self._replanning = Replanning(self.goals, self._monitor, self._client, self._policy)
         self._backoff = self._replanning.backoff
         self._setup_arguments: dict[str, object] = {}
+        self.adopt: Callable[[Behaviour], object] = lambda _: None
         self._running: list[RunningStep] = []
         self._ended_meanwhile: list[Step] = []
         self._missing_effects: dict[Step, tuple[State, int]] = {}  # atoms, how many times

@@ -10,10 +10,9 @@ from typing import Final
 
 from kb import KnowledgeBase
 from missions import SUMMARIES
-from missions.agv import pddl
+from missions.agv import tree
 from missions.agv.joint import Weights
 from missions.agv.model import PAPER, Building, building_model
-from missions.agv.tree import Route, agv_tree
 from missions.agv.world import AgvKind, Incident
 from missions.engine.mission import Mission, Percepts
 
@@ -33,8 +32,8 @@ def agv_mission(
     """Make a mission of a map and what happens there."""
 
     @lru_cache(maxsize=8)  # takes time to make; the behaviours of a run share it
-    def route(kb: KnowledgeBase, percepts: Percepts) -> Route:
-        return Route(building, kb, percepts, weights)
+    def route(kb: KnowledgeBase, percepts: Percepts) -> tree.Route:
+        return tree.Route(building, kb, percepts, weights)
 
     def why_not(kb: KnowledgeBase, percepts: Percepts) -> str:
         answer = route(kb, percepts).answer
@@ -44,14 +43,14 @@ def agv_mission(
         name=name,
         summary=summary,
         model=partial(building_model, building),
-        tree=lambda kb, percepts: agv_tree(route(kb, percepts)),
+        tree=lambda kb, percepts: tree.agv_tree(route(kb, percepts)),
         domain=Path(__file__).with_name("domain.pddl"),
-        problem=partial(pddl.problem, building),
+        problem=partial(tree.problem, building),
         actions={
-            "switch": lambda kb, percepts, step: pddl.switch(route(kb, percepts), step),
-            "cross": lambda kb, percepts, step: pddl.cross(route(kb, percepts), step),
+            "switch": lambda kb, percepts, step: tree.switch(route(kb, percepts), step),
+            "cross": lambda kb, percepts, step: tree.cross(route(kb, percepts), step),
         },
-        facts=lambda kb, percepts: pddl.facts(route(kb, percepts)),
+        facts=lambda kb, percepts: tree.facts(route(kb, percepts)),
         world=AgvKind(building, route, incidents),
         why_not=why_not,
         selects=True,

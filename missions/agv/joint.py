@@ -145,6 +145,9 @@ class Place(NamedTuple):
     corridor: str = ""
     driven_m: float = 0.0
 
+    def __str__(self) -> str:
+        return f"within {self.corridor}" if self.corridor else self.name
+
 
 class Leg(NamedTuple):
     """One corridor of a plan: its direction, the mode in it, and the conditions there.
@@ -326,7 +329,7 @@ class Task:
         if path is not None:
             least_j = sum(move.uses[0] for move in path.moves) / 1e3
             return f"the best way takes {least_j:.6g} J, and no way only {self.energy_j:.6g} J"
-        reason = f"{goal} cannot be reached from {self.place.name}"
+        reason = f"{goal} cannot be reached from {self.place}"
         corridors = self.building.corridors.values()
         blocked = [part for part in corridors if not self._modes.under(part.light, part.obstacles)]
         if not blocked:

@@ -88,7 +88,7 @@ class BuildingWorld(NamedComponents, mission.World):
         self._ticks = 0
         self._at = building.start
         self._inside = ""
-        self._way = [building.start]
+        self._way: list[tuple[str, str]] = []  # corridors to drive along, and to which place
         self._ordered: Mapping[str, Any] = {}
         self._sensor = ""
         self._error: Array = np.zeros(2)
@@ -144,7 +144,7 @@ class BuildingWorld(NamedComponents, mission.World):
         lines = {}
         for name, corridor in self._building.corridors.items():
             start, end = (self._building.places[place] for place in corridor.ends)
-            lines[name] = np.linspace(start, end, 9)
+            lines[name] = np.linspace(start, end, 3)  # the name stands in the middle
         return lines
 
     def _step(self) -> None:
@@ -176,21 +176,21 @@ class BuildingWorld(NamedComponents, mission.World):
         if not ordered or ordered == self._ordered:
             return
         self._ordered = ordered
-        corridor, origin = ordered["corridor"], ordered["origin"]
+        corridor = ordered["corridor"]
+        origin = ordered["origin"]
         to = self._building.corridors[corridor].other(origin)
         is_on_it = self._inside == corridor or (self._at == origin and not self._inside)
-        self._way = [to] if is_on_it else [origin, to]
+        self._way = [(corridor, to)] if is_on_it else [(self._inside, origin), (corridor, to)]
 
     def _aim(self) -> Aim:
         self._sensor, error_m = self._seeing()
         if not self._sensor or not self._way or self._speed == 0.0 or self._energy_j == 0.0:
             return _STAND
-        target = np.array(self._building.places[self._way[0]])
+        corridor, place = self._way[0]
+        origin = self._building.corridors[corridor].other(place)
+        start, end = (np.array(self._building.places[name]) for name in (origin, place))
         believed = self._vehicle.position + self._drift(error_m)
-        name = self._ordered["corridor"] if len(self._way) == 1 else self._inside
-        origin = self._building.corridors[name].other(self._way[0])
-        start = np.array(self._building.places[origin])
-        to = aim_along(believed, start, target) - believed
+        to = aim_along(believed, start, end) - believed
         bearing = math.remainder(math.atan2(to[1], to[0]) - self._vehicle.yaw, math.tau)
         return steer(bearing, self._vehicle.look(self._sensor), self._speed)
 
@@ -209,10 +209,11 @@ class BuildingWorld(NamedComponents, mission.World):
         return self._error
 
     def _look_where_it_is(self) -> None:
-        way = self._way
-        position = self._vehicle.position
-        if way and math.dist(position, self._building.places[way[0]]) < REACH_M:
-            place = way.pop(0)
+        if not self._way:
+            return
+        corridor, place = self._way[0]
+        if math.dist(self._vehicle.position, self._building.places[place]) < REACH_M:
+            del self._way[0]
             if self._inside:
                 self._say(MISSION_STATUS, f"in {self._inside}", "false")
                 self._inside = ""
@@ -220,10 +221,10 @@ class BuildingWorld(NamedComponents, mission.World):
                 self._say(MISSION_STATUS, f"at {self._at}", "false")
                 self._at = place
                 self._say(MISSION_STATUS, f"at {place}", "true")
-        elif not self._inside and len(way) == 1 and self._driven_m > _WELL_INSIDE_M:
-            self._inside = str(self._ordered["corridor"])
+        elif not self._inside and self._driven_m > _WELL_INSIDE_M:
+            self._inside = corridor
             self._say("EA measurement", "driven", repr(self._driven_m))
-            self._say(MISSION_STATUS, f"in {self._inside}", "true")
+            self._say(MISSION_STATUS, f"in {corridor}", "true")
 
     def _happen(self, incident: Incident) -> None:
         name = incident.component
@@ -285,11 +286,9 @@ class AgvKind(mission.WorldKind):
         self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase
     ) -> Verdict:
         route = self.route(kb, percepts)
-        name, inside, _ = route.place
         answer = route.answer
         if answer.cost is None:
-            where = f"within {inside}" if inside else name
-            return Verdict("aborted", f"there is no way from {where}: {answer.reason}")
+            return Verdict("aborted", answer.reason)
         if answer.legs:
-            return Verdict("aborted", f"time ran out on the way from {name}")
-        return Verdict("arrived", f"the robot is at {name}")
+            return Verdict("aborted", f"time ran out on the way from {route.place}")
+        return Verdict("arrived", f"the robot is at {route.place}")

@@ -14,7 +14,7 @@ inactive
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Final, NamedTuple
+from typing import ClassVar, Final
 
 import numpy as np
 from py_trees.behaviour import Behaviour
@@ -301,26 +301,6 @@ DESIGNS: Final = (
 """All designs, those of higher performance first; from the ontology of kas-lab/suave v1.3.0."""
 
 
-class _Situation(NamedTuple):
-    """What a pass of reasoning begins with: measurements, and what the passes before inferred.
-
-    Attributes:
-        grounded: the design that serves each function.
-        not_in_force: functions whose mode was requested, but is not in force.
-        unrealisable: names of the designs that need a failed component.
-        errors: names of the designs whose mode did not come into force.
-        recovered: whether a component has recovered since the last choice.
-    """
-
-    measured: Mapping[str, float]
-    failed: frozenset[str]
-    grounded: Mapping[str, Design]
-    not_in_force: frozenset[str]
-    unrealisable: frozenset[str]
-    errors: frozenset[str]
-    recovered: bool
-
-
 class Metacontrol(ModesManager):
     """Grounds objectives of a task in function designs; replaces those of objectives in error.
 
@@ -384,44 +364,46 @@ class Metacontrol(ModesManager):
         failed = frozenset(name for name, word in reported if word in ("FALSE", "ERROR"))
         self._recovered |= not self._failed <= failed
         self._failed = failed
-        served = self._grounded.items()
-        amiss = frozenset(name for name, each in served if not self.modes.is_in(name, each.name))
-        situation = _Situation(
-            dict(self.measured),
-            failed,
-            dict(self._grounded),
-            amiss,
-            self._unrealisable,
-            self._errors,
-            self._recovered,
-        )
-        self.later(self.values["reasoning_s"], lambda: self._act(situation))
+        grounded = self._grounded
+        amiss = {name for name, each in grounded.items() if not self.modes.is_in(name, each.name)}
+        measured = dict(self.measured)
+        self.later(self.values["reasoning_s"], lambda: self._act(measured, grounded, amiss))
 
-    def _act(self, seen: _Situation) -> None:
-        """Request what the pass has found, then reason again if it has inferred something new."""
+    def _act(
+        self, measured: Mapping[str, float], grounded: Mapping[str, Design], amiss: set[str]
+    ) -> None:
+        """Request what the pass has found, then reason again if it has inferred something new.
+
+        Args:
+            measured: what was measured when the pass began.
+            grounded: the design that served each function then.
+            amiss: functions whose mode was requested, but was not in force then.
+        """
         for function in self._objectives:
-            self._ground(function, seen)
-        self._unrealisable = frozenset(
-            design.name for design in DESIGNS if not seen.failed.isdisjoint(design.components)
+            self._ground(function, grounded.get(function), function in amiss, measured)
+        unrealisable = frozenset(
+            design.name for design in DESIGNS if not self._failed.isdisjoint(design.components)
         )
-        self._is_reasoning = self._unrealisable != seen.unrealisable
+        self._is_reasoning = unrealisable != self._unrealisable
+        self._unrealisable = unrealisable
         if self._is_reasoning:
             self._reason()
         else:
             self._recovered = False
 
-    def _ground(self, function: str, seen: _Situation) -> None:
+    def _ground(
+        self, function: str, serving: Design | None, is_amiss: bool, measured: Mapping[str, float]
+    ) -> None:
         """Request the mode of the best possible design, unless the objective is satisfied."""
-        design = seen.grounded.get(function)
-        barred = seen.unrealisable | seen.errors
-        if design is not None and design.name not in seen.unrealisable:
-            if function in seen.not_in_force:
-                barred |= {design.name}
-                self._errors |= seen.errors | {design.name}
-            elif function != SEARCH and design.suffices(seen.measured) and not seen.recovered:
+        barred = self._unrealisable | self._errors
+        if serving is not None and serving.name not in self._unrealisable:
+            if is_amiss:
+                barred |= {serving.name}
+                self._errors |= {serving.name}
+            elif function != SEARCH and serving.suffices(measured) and not self._recovered:
                 return
         for design in DESIGNS:
-            is_possible = design.name not in barred and design.suffices(seen.measured)
+            is_possible = design.name not in barred and design.suffices(measured)
             if design.function == function and is_possible:
                 self.modes.request(function, design.name)
                 self._grounded = {**self._grounded, function: design}

@@ -13,7 +13,6 @@ from threading import Lock
 from typing import Any, Final, NamedTuple
 
 from kb import Model
-from kb.diagnostics import MEASUREMENTS
 from missions.engine.percepts import Message, failed, measured, recovered
 from missions.engine.settings import MissionError
 
@@ -134,10 +133,9 @@ class FaultInjector:
         return [*messages, *news]
 
     def _messages_of(self, fault: Fault, now: float) -> Sequence[Message]:
-        if fault.verb == "fail":
-            return [failed(now, fault.name)]
-        if fault.verb == "recover":
-            return [recovered(now, fault.name)]
+        if fault.verb in ("fail", "recover"):
+            tell = failed if fault.verb == "fail" else recovered
+            return [tell(now, fault.name)]
         if fault.verb == "release":
             self.values.pop(fault.name, None)
             return []
@@ -149,9 +147,7 @@ def _with_values(message: Message, values: Mapping[str, float]) -> Message:
     """Return a message with these values of the attributes that it measures."""
     statuses = []
     for status in message["status"]:
-        if str(status["message"]).strip().casefold() in MEASUREMENTS:
-            heard = dict(status["values"])
-            heard |= {name: repr(values[name]) for name in heard.keys() & values.keys()}
-            status = {**status, "values": heard}
-        statuses.append(status)
+        heard = dict(status["values"])
+        heard |= {name: repr(values[name]) for name in heard.keys() & values.keys()}
+        statuses.append({**status, "values": heard})
     return {**message, "status": statuses}

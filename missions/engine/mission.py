@@ -163,12 +163,6 @@ class WorldKind(ABC):
 # ---------------------------------------------------------------- the mission
 
 
-_FIELDS: Final[Mapping[str, tuple[Any, str]]] = {
-    "world": (WorldKind, "an object of a subclass of WorldKind"),
-    "actions": (Mapping, "a mapping of PDDL actions to behaviours"),
-    "domain": ((Path, type(None)), "a pathlib.Path"),
-    "problem": ((Path, type(None), Callable), "a pathlib.Path"),
-}
 _PARAMETERS: Final = {
     "model": "",
     "tree": "kb, percepts",
@@ -202,8 +196,7 @@ class Mission:
         selects: whether the task layer selects configurations, so that only ours can manage it.
 
     Raises:
-        MissionError: a field has the wrong type, a function has other parameters, or there is no
-            task.
+        MissionError: it has no world or no task, or a function has other parameters.
     """
 
     name: str
@@ -221,29 +214,20 @@ class Mission:
     selects: bool = False
 
     def __post_init__(self) -> None:
-        for name, (kind, expected) in _FIELDS.items():
-            self._check(name, isinstance(getattr(self, name), kind), expected)
-        for name, parameters in _PARAMETERS.items():
-            function = attrgetter(name)(self)
-            if function is None and name == "tree":
-                continue
-            self._check(name, callable(function), "a function")
-            try:
-                signature(function).bind(*parameters.split())
-            except TypeError as error:
-                takes = f"is called with ({parameters}), but takes {signature(function)}"
-                title = f"{name} of mission {self.name} {takes}"
-                raise MissionError(f"{title}: {error}; give it these parameters") from error
+        if not isinstance(self.world, WorldKind):
+            expected = "expected is an object of a subclass of WorldKind"
+            raise MissionError(f"world of mission {self.name} is {self.world!r}; {expected}")
         if self.tree is None and self.problem is None:
             hint = "give it a tree, or a PDDL domain and problem"
             raise MissionError(f"mission {self.name} has no task: {hint}")
-
-    def _check(self, name: str, is_fit: bool, expected: str) -> None:
-        if not is_fit:
-            value = attrgetter(name)(self)
-            raise MissionError(
-                f"{name} of mission {self.name} is {value!r}; expected is {expected}"
-            )
+        for name, parameters in _PARAMETERS.items():
+            function = attrgetter(name)(self)
+            try:
+                if function is not None or name != "tree":
+                    signature(function).bind(*parameters.split())
+            except TypeError as error:
+                title = f"{name} of mission {self.name} is called with ({parameters})"
+                raise MissionError(f"{title}: {error}; give it these parameters") from error
 
 
 # ---------------------------------------------------------------- an author's code

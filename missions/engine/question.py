@@ -141,17 +141,14 @@ def ask(
 
 def _assume(kb: KnowledgeBase, text: str) -> None:
     """Record an assumption: ATTRIBUTE=NUMBER or COMPONENT=failed."""
-    name, equals, value = (word.strip() for word in text.partition("="))
-    if not equals or not name:
-        form = f"ATTRIBUTE=NUMBER or COMPONENT={FAILED}"
-        raise MissionError(f"--situation takes {form}, not {text!r}")
+    name, _, value = (word.strip() for word in text.partition("="))
     if value == FAILED:
         kb.component_failed(name)
         return
     try:
         number = float(value)
     except ValueError as error:
-        form = f"{name}=NUMBER, or {name}={FAILED} for a component"
+        form = f"ATTRIBUTE=NUMBER or COMPONENT={FAILED}"
         raise MissionError(f"--situation takes {form}, not {text!r}") from error
     kb.measure(name, number)
 

@@ -26,8 +26,6 @@ def header(run: MissionRun, seed: int) -> Message:
         "settings": asdict(run.settings),
         "switching_s": dict(getattr(run.world.managed, "takes", {})),
     }
-    if run.faults.waiting:
-        about["faults"] = [str(fault) for fault in run.faults.waiting]
     return {"time": 0.0, "status": [], "run": about}
 
 

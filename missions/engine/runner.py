@@ -281,8 +281,7 @@ class MissionRun(ABC):
         before = self.world.now
         title = f"the world of mission {self.mission.name}"
         method = f"advance() of {type(self.world).__name__}"
-        with blamed(lambda: f"{title} failed after {before:.1f} s"):
-            messages = self.world.advance(until)
+        messages = self.world.advance(until)
         if not isinstance(messages, list):
             expected = "a list of messages, empty if there are none"
             raise MissionError(f"{method} gives {messages!r:.100}; expected is {expected}")
@@ -471,10 +470,7 @@ class RosaRun(MissionRun):
 # ---------------------------------------------------------------- managers, and opening a run
 
 
-ManagerType = type[MissionRun]
-
-
-def find_manager(name: str | ManagerType, mission: Mission) -> ManagerType:
+def find_manager(name: str | type[MissionRun], mission: Mission) -> type[MissionRun]:
     """Return the class of a manager by its name, by "package:Class", or as the class itself.
 
     Raises:
@@ -497,7 +493,7 @@ def find_manager(name: str | ManagerType, mission: Mission) -> ManagerType:
 def open_run(
     mission: Mission,
     *,
-    manager: str | ManagerType = OURS,
+    manager: str | type[MissionRun] = OURS,
     task: str | None = None,
     seed: int = 0,
     settings: Mapping[str, str] | None = None,

@@ -21,6 +21,9 @@ _KINDS: Final[Mapping[Any, str]] = {
 }
 
 
+_TRUTHS: Final = {"true": True, "false": False}
+
+
 class MissionError(Exception):
     """Something cannot be done as asked; the message says what was given, and what to do."""
 
@@ -73,8 +76,8 @@ class Setting:
         is_allowed = isinstance(value, kind)
         if kind in (int, float):
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            is_allowed = is_number and (kind is float or value % 1 == 0)
-            is_allowed = is_allowed and self.low <= value <= self.high
+            is_allowed = is_number and isfinite(value) and self.low <= value <= self.high
+            is_allowed = is_allowed and (kind is float or value % 1 == 0)
         if is_allowed:
             return value  # type: ignore[no-any-return]  # it was checked
         unit = " of seconds" if kind is float and self.unit == "s" else ""
@@ -83,14 +86,11 @@ class Setting:
 
 
 def _parse(text: str, kind: type[Value]) -> Value:
-    """Return the value that a text means; the text itself if it is none, or infinite."""
-    if kind is bool:
-        return {"true": True, "false": False}.get(text.strip().lower(), text)
+    """Return the value that a text means; the text itself if it is none."""
     try:
-        value = kind(text)
-    except ValueError:
+        return _TRUTHS[text.strip().lower()] if kind is bool else kind(text)
+    except (KeyError, ValueError):
         return text
-    return text if value in (inf, -inf) else value
 
 
 def setting(

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from inspect import signature
+from pathlib import Path
 from typing import Any, Final
 
 from py_trees.behaviour import Behaviour
@@ -161,4 +162,4 @@ def mission_domain(mission: Mission) -> Domain:
     if not callable(problem):
         return load_domain(mission.domain, problem)
     text = built(f"the problem of mission {mission.name}", str, problem)
-    return parse_domain(mission.domain.read_text(), text)
+    return parse_domain(Path(mission.domain).read_text(), text)

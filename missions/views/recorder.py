@@ -110,7 +110,7 @@ class Recorder:
         self._network: Network | None = None
         self._elements: dict[str, dict[str, Any]] = {}  # by key, as they are in that network
         self._counts = Counter[str]()  # by track
-        self._troubles: set[str] = set()
+        self._troubles: set[object] = set()
         self._posed_at = -inf
         self._task_plans = deque[Any](maxlen=PLANS)
         self._last_plans: dict[Any, Any] = {}  # by behaviour
@@ -300,10 +300,10 @@ class Recorder:
         """Work out and write what would be feasible if other values had been measured."""
         self.put("whatif", 0, cases(self.kb), time)
 
-    def trouble(self, words: str) -> None:
-        """Write what went wrong, in a sentence, once."""
-        if words not in self._troubles:
-            self._troubles.add(words)
+    def trouble(self, words: str, about: object = None) -> None:
+        """Write what went wrong, in a sentence, once about each thing."""
+        if (about or words) not in self._troubles:
+            self._troubles.add(about or words)
             self.log("problem", "error", words)
 
     def elements_of(self, behaviour: Behaviour) -> list[str]:
@@ -355,7 +355,7 @@ class _TreeRows(VisitorBase):
     def _note(self) -> None:
         recorder = self._recorder
         for behaviour, _ in errors_of(self._behaviours.root):
-            recorder.trouble(f"{behaviour.name}: {behaviour.feedback_message}")
+            recorder.trouble(f"{behaviour.name}: {behaviour.feedback_message}", behaviour)
         is_news = any(parent.children != children for parent, children in self._below)
         if is_news:
             self._describe()

@@ -17,12 +17,11 @@ from py_trees.common import Status
 from py_trees.ports import PortInformation, PortsMixin
 from py_trees.ports_utils import convert_str_to_type, is_instance_of_type
 
+from rosa_bt.decorators import Clock
 from rosa_bt.exceptions import RosaBtError, hint
 
 Value = Any
 """A text, a number, whatever the program wrote, or None."""
-Clock = Callable[[], float]
-"""Gives the time [s]."""
 
 _WHOLE = re.compile(r"-?\d+", re.ASCII)
 _NUMBER = re.compile(
@@ -187,7 +186,11 @@ class Blackboard(MutableMapping[str, Any]):
         for name, text in (ports or {}).items():
             self._outer_keys[name] = key_of(text, name)
             if self._outer_keys[name] is None:
-                self[name] = _literal(text)
+                value: int | float | str = text
+                for kind in (float, int) if "_" not in text else ():
+                    with suppress(ValueError):
+                        value = kind(text)
+                self[name] = value
 
     def place(self, key: str) -> tuple[dict[str, Entry], str]:
         """Return where a key is kept: the entries of a blackboard, and its name there."""
@@ -235,15 +238,6 @@ class Blackboard(MutableMapping[str, Any]):
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
-
-
-def _literal(text: str) -> int | float | str:
-    """Return the value of a literal of a SubTree: a whole number, a double, or a text."""
-    for kind in (int, float):
-        with suppress(ValueError):
-            if "_" not in text:
-                return kind(text)
-    return text
 
 
 Declared = Mapping[str, PortInformation]

@@ -178,16 +178,6 @@ class Document:
         self.notes.append(f"{where}: {text}")
         _log.warning("%s: %s", where, text)
 
-    def main(self, name: str | None) -> str:
-        """Return the ID of the tree to make: this name, the main tree, or the only one."""
-        name = name or self.root.get("main_tree_to_execute")
-        if name is None:
-            if len(self.trees) != 1:
-                advice = "say load_xml(..., tree=...) or write main_tree_to_execute in <root>"
-                raise self.root.error(f"which tree? There are: {[*self.trees]}; {advice}")
-            (name,) = self.trees
-        return name
-
     def _parse(self, text: str | bytes, file: str) -> Element:
         """Return the outermost element.
 
@@ -253,8 +243,6 @@ class Document:
                         self._add(self.models, model)
             elif element.tag == "include":
                 self._include(element, folder)
-            else:
-                self.note(element.where, f"<{element.tag}> means nothing in <root>")
         return root
 
     def _is_version_3(self, root: Element) -> bool:

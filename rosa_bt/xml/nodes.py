@@ -160,9 +160,17 @@ class XmlNode(Named, Composite, is_node=False):
                 self._slots[child] = Slot(child, is_plain(child))
         return [self._slots[child] for child in self.children]
 
+    @property
+    def child(self) -> Slot:
+        """The slot of the first child."""
+        return self.slots[0]
+
     def decide(self) -> Ticking:
-        """Do the work of one tick."""
-        raise NotImplementedError
+        """Do the work of one tick; by default, that of a node with one child."""
+        verdict = yield from self.child.tick()
+        if verdict in DONE:
+            self.child.reset()
+        return verdict
 
     def forget(self) -> None:
         """Return attributes that begin with an underscore to the values in the class."""
@@ -177,9 +185,6 @@ class XmlNode(Named, Composite, is_node=False):
         self.status = RUNNING
         self.status = yield from self.decide()
         yield self
-
-    def update(self) -> Status:
-        return self.status
 
     def stop(self, new_status: Status = INVALID) -> None:
         """Halt: stop the children that are RUNNING, and forget the state of the node."""
@@ -212,16 +217,6 @@ class OneChild(XmlNode, is_node=False):
 
     arity = (1, 1)
 
-    @property
-    def child(self) -> Slot:
-        return self.slots[0]
-
-    def decide(self) -> Ticking:
-        verdict = yield from self.child.tick()
-        if verdict in DONE:
-            self.child.reset()
-        return verdict
-
 
 def is_plain(leaf: Behaviour) -> bool:
     """Tell whether it is a node, or has neither `initialise` nor `terminate`, as conditions."""
@@ -247,12 +242,17 @@ class AlwaysFailure(AlwaysSuccess):
     outcome = FAILURE
 
 
-class Script(Named, code=str):
-    """Runs a script; then SUCCESS."""
+class Scripted(Named, is_node=False):
+    """A node whose first port has a script."""
 
     def prepare(self, ports: Ports) -> None:
         super().prepare(ports)
-        self.script = parse_script(ports.get("code"), ports.blackboard)
+        code, *_ = self.PORTS
+        self.script = parse_script(ports.get(code), ports.blackboard)
+
+
+class Script(Scripted, code=str):
+    """Runs a script; then SUCCESS."""
 
     def update(self) -> Status:
         self.script()
@@ -339,7 +339,6 @@ class Sequence(XmlNode):
     is_reactive = False
     is_async = False
     keeps_place = False
-    current_child: Behaviour | None = None
     _skipped = 0
 
     def forget(self) -> None:
@@ -705,22 +704,18 @@ class RunOnce(Gate, then_skip=True):
         return SKIPPED if self.ports.get("then_skip") else self._last
 
 
-class Precondition(Gate, **{"if": str, "else": FAILURE}):
+class Precondition(Gate, Scripted, **{"if": str, "else": FAILURE}):
     """Ticks the child if the script `if` is true; else returns `else`.
 
     Once the child runs, `if` is not asked.
     """
-
-    def prepare(self, ports: Ports) -> None:
-        super().prepare(ports)
-        self._condition = parse_script(ports.get("if"), ports.blackboard)
 
     def forget(self) -> None:
         """Remember whether the child runs."""
 
     def instead(self) -> Status | None:
         verdict: Status = self.ports.get("else")  # a wrong outcome raises in the first tick
-        return None if self._last is SKIPPED or truth(self._condition()) else verdict
+        return None if self._last is SKIPPED or truth(self.script()) else verdict
 
 
 class SkipUnlessUpdated(Gate, entry=None):

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
-from typing import Any, Literal, TypeVar, overload
+from typing import Any, TypeVar, overload
 
 from py_trees.behaviour import Behaviour
 from py_trees.ports import PortInformation, PortsMixin
@@ -21,7 +21,6 @@ from rosa_bt.xml.scripts import parse_script
 
 Factory = Callable[..., Behaviour]
 F = TypeVar("F", bound=Factory)
-Kind = Literal["action", "condition"]
 
 _ROLES = frozenset({"name", "child", "children", "blackboard", "behaviour_class_name"})
 """Parameters that no attribute of an element sets."""
@@ -40,7 +39,6 @@ class Registration:
     """A behaviour that is registered under a name."""
 
     factory: Factory
-    kind: Kind | None
     bound: Mapping[str, Any]
     """Arguments for every factory that has a parameter of the same name."""
 
@@ -110,18 +108,19 @@ class BehaviourRegistry:
 
     def __init__(self, **bound: Any) -> None:  # noqa: ANN401  # whatever the behaviours of the user need
         self.bound = bound
-        self.entries = {name: Registration(make, None, bound) for name, make in _DEFAULTS.items()}
+        self.entries = {name: Registration(make, bound) for name, make in _DEFAULTS.items()}
 
     @overload
-    def register(self, name: str, *, kind: Kind | None = None) -> Callable[[F], F]: ...
+    def register(self, name: str) -> Callable[[F], F]: ...
 
     @overload
-    def register(self, name: str, factory: F, *, kind: Kind | None = None) -> F: ...
+    def register(self, name: str, factory: F) -> F: ...
 
-    def register(
-        self, name: str, factory: Factory | None = None, *, kind: Kind | None = None
-    ) -> object:
+    def register(self, name: str, factory: Factory | None = None) -> object:
         """Register a class of behaviours, or a function that makes a behaviour; also a decorator.
+
+        A leaf is a condition, which is ticked again after it has finished even if it was not reset,
+        if the file says so, or else if the class has no `initialise` and `terminate` of its own.
 
         The parameters `name`, `child` and `children` are set from the file, `blackboard` to that of
         the tree; those that are annotated as Behaviour take one child each. Every other parameter,
@@ -131,18 +130,15 @@ class BehaviourRegistry:
             name: the tag or ID in the file; a node of that name is replaced.
             factory: the class or function, which is returned as it is; without it, a decorator is
                 returned.
-            kind: "condition" for a leaf that is ticked again after it has finished, even if it was
-                not reset; "action" for a leaf that is not. Without it, the file decides, or else
-                the class: without `initialise` and `terminate` of its own, it makes conditions.
 
         Raises:
             RegistryError: the name is taken.
         """
         if factory is None:
-            return lambda factory: self.register(name, factory, kind=kind)
+            return lambda factory: self.register(name, factory)
         if name in self.entries and self.entries[name].factory is not _DEFAULTS.get(name):
             raise RegistryError(f"{name!r} is registered already; choose another name")
-        self.entries[name] = Registration(factory, kind, self.bound)
+        self.entries[name] = Registration(factory, self.bound)
         return factory
 
     def name_of(self, behaviour: Behaviour) -> str | None:
@@ -214,7 +210,13 @@ def load_xml(
     board.enums = enums or {}
     board.clock = clock or board.clock
     board.has_own_clock = clock is not None
-    return _Builder(document, registry).tree(document.main(tree), document.root, None, board)
+    main = tree or document.root.get("main_tree_to_execute")
+    if main is None:
+        if len(document.trees) != 1:
+            advice = "say load_xml(..., tree=...) or write main_tree_to_execute in <root>"
+            raise document.root.error(f"which tree? There are: {[*document.trees]}; {advice}")
+        (main,) = document.trees
+    return _Builder(document, registry).tree(main, document.root, None, board)
 
 
 class _Builder:
@@ -244,14 +246,22 @@ class _Builder:
         except Exception as error:  # constructors of the user may raise anything
             problem = str(error) if isinstance(error, RosaBtError) else in_words(error)
             raise element.error(f"<{element.node}> cannot be made: {problem}") from error
-        is_condition = self._is_condition(element, node)
+        is_condition = is_plain(node)
+        tags = {element.tag, self._document.models.get(element.node, element).tag}
+        if element.node in self._registry.entries and tags & {"Action", "Condition"}:
+            is_condition = "Action" not in tags
         return Slot(node, is_condition, (element.tag, element.attrib), rules)
 
     def _node(self, element: Element, board: Blackboard) -> Behaviour:
         tag = element.node
         entry = self._registry.entries.get(tag) or NODES.get(tag)
         if entry is None and tag != "SubTree":
-            raise element.error(self._unknown(tag))
+            problem = f"is unknown; {hint(tag, [*self._registry.entries, *NODES], 'nodes')}"
+            if tag in MARKS:
+                problem = 'is of version 3; write BTCPP_format="3", or its name in version 4'
+            elif tag in self._document.trees:
+                problem = f'is a tree; write <SubTree ID="{tag}"/>'
+            raise element.error(f"<{tag}> {problem}")
         count = len(element)
         least, most = entry.arity if entry else (0, 0)
         if not least <= count <= most:
@@ -314,14 +324,6 @@ class _Builder:
                 raise element.error(f"its class does {action!r} already; leave action=... out")
         return behaviour
 
-    def _is_condition(self, element: Element, node: Behaviour) -> bool:
-        entry = self._registry.entries.get(element.node)
-        model = self._document.models.get(element.node, element)
-        for kind in (entry.kind, element.tag.lower(), model.tag.lower()) if entry else ():
-            if kind in ("action", "condition"):
-                return kind == "condition"
-        return is_plain(node)
-
     def _subtree(self, element: Element, around: Blackboard) -> SubTree:
         tree = element.needed("ID")
         autoremap = convert(element.get("_autoremap", "false"), bool)
@@ -333,13 +335,6 @@ class _Builder:
                 ports[name] = port.needed("default")
         board = Blackboard(around, ports, autoremap=autoremap)
         return self.tree(tree, element, element.get("name"), board)
-
-    def _unknown(self, tag: str) -> str:
-        if tag in MARKS:
-            return f'<{tag}> is of version 3; write BTCPP_format="3", or its name in version 4'
-        if tag in self._document.trees:
-            return f'<{tag}> is a tree; write <SubTree ID="{tag}"/>'
-        return f"<{tag}> is unknown; {hint(tag, [*self._registry.entries, *NODES], 'nodes')}"
 
 
 def ports_of(behaviour: Behaviour) -> Declared:

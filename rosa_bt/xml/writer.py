@@ -147,32 +147,30 @@ class _Writer:
             known = self._registry or BehaviourRegistry(kb=None)
             name = known.name_of(node)
             tag = name or kind.__name__
-            registration = known.entries.get(tag) or Registration(kind, None, {"kb": None})
+            registration = known.entries.get(tag) or Registration(kind, {"kb": None})
             if name or not (self._registry or node.children or tag in NODES):
-                problem = wrong_id(tag) or _add_arguments(node, registration, attributes)
+                problem = wrong_id(tag)
+                for argument in {**registration.arguments, **ports_of(node)}:
+                    parameter = registration.parameters.get(argument)
+                    try:
+                        value = getattr(node, argument)
+                    except (
+                        AttributeError,
+                        RuntimeError,
+                    ):  # RuntimeError: a port that is not connected
+                        if registration.factory is kind:
+                            problem = f"it has no attribute {argument!r}, with which it was made"
+                        continue
+                    if value is not None and (parameter is None or value != parameter.default):
+                        text = str(value)
+                        attributes[argument] = text.lower() if isinstance(value, bool) else text
+                        if not isinstance(value, bool | int | float | str):
+                            problem = f"its attribute {argument!r} is neither a number nor a text"
             else:
                 problem = "it is not registered, and has no exact counterpart in BehaviorTree.CPP"
         if problem:
             self.problems.append(f"{kind.__name__} {node.name!r} cannot be written: {problem}")
         return tag, attributes
-
-
-def _add_arguments(node: Behaviour, registration: Registration, attributes: dict[str, str]) -> str:
-    """Add the arguments with which a behaviour was made; return what is not known of them."""
-    problem = ""
-    for name in {**registration.arguments, **ports_of(node)}:
-        parameter = registration.parameters.get(name)
-        try:
-            value = getattr(node, name)
-        except (AttributeError, RuntimeError):  # RuntimeError: a port that is not connected
-            if registration.factory is type(node):
-                problem = f"it has no attribute {name!r}, with which it was made"
-            continue
-        if value is not None and (parameter is None or value != parameter.default):
-            attributes[name] = str(value).lower() if isinstance(value, bool) else str(value)
-            if not isinstance(value, bool | int | float | str):
-                problem = f"its attribute {name!r} is neither a number nor a text"
-    return problem
 
 
 def _places(root: Behaviour) -> list[tuple[Behaviour, Behaviour | None]]:

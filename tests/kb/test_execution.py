@@ -2,6 +2,7 @@
 
 import math
 from itertools import pairwise
+from threading import Thread
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -124,6 +125,28 @@ def test_operation_past_its_time_out_is_cancelled():
 
     Life(system=Slow, timeout=4.0).explore(6)
     assert cancelled[0] == 104.0
+
+
+def test_operation_is_cancelled_while_other_threads_may_record():
+    waiting = []
+
+    class Slow(Scripted):
+        def activate(self, component):
+            operation = Operation(self.clock, math.inf, None, None)
+            operation.cancel = record
+            return operation
+
+    def record():
+        thread = Thread(target=life.kb.component_failed, args=("lidar",))
+        thread.start()
+        thread.join(20.0)
+        waiting.append(thread.is_alive())
+
+    life = Life(system=Slow)
+    life.explore(3)
+    life.kb.model.quality_attribute("new")
+    life.turn()
+    assert waiting == [False]
 
 
 # -------------------------------------------------------------------- systems that lie

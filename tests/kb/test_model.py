@@ -189,7 +189,7 @@ def test_comparisons_and_their_mirrors_are_expressions(model):
 
 def test_shared_constraint_applies_to_all_its_elements(model):
     elements = [model.actions["explore"], model.designs["by camera"], model.components["camera"]]
-    shared = model.constrain([*elements, "day"], model.attributes["light"] >= 0.5)
+    (shared,) = model.constrain([*elements, "day"], model.attributes["light"] >= 0.5)
     assert model.constraints == (shared,)
     kb = KnowledgeBase(model)
     kb.measure("light", 0.1)

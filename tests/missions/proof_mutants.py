@@ -385,11 +385,6 @@ MUTANTS = [
         lambda kb: either(kb, feasible_then_act(Keeps("explore", kb, "explore"))),
         RELEASED,
     ),
-    Case(
-        "request of the other kept",
-        lambda kb: either(kb, second=Keeps("charge", kb, "charge")),
-        RELEASED,
-    ),
     Case("request taken back", wrapped(lambda task: Cancels("c", task), explore), RELEASED),
     Case("request beside the tree", wrapped(lambda task: Requests("r", task), explore), RELEASED),
     Case(
@@ -400,7 +395,6 @@ MUTANTS = [
     Case(
         "both at once", lambda kb: beside(ALL(synchronise=False), explore(kb), charge(kb)), TOGETHER
     ),
-    Case("one of two is enough", lambda kb: beside(FIRST(), charge(kb), acts(kb)), TOGETHER),
     # models
     Case("no design", either, GOAL, **rover(designs=False)),
     Case(
@@ -465,7 +459,6 @@ CORRECT = [
     ),
     Case("guarded twice", behind(asks, acts)),
     Case("guarded though rough", behind(asks)),
-    Case("asks what is measured", behind(lambda kb: enough(kb, 0.5), explore)),
     Case("asks for more than is needed", behind(lambda kb: enough(kb, 0.5), acts)),
     Case(
         "waits for the robot",

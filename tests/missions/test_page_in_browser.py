@@ -230,7 +230,7 @@ def test_element_says_why_what_would_help_and_what_the_alternatives_were(shown):
 def test_plan_is_listed_and_its_step_that_is_under_way_is_marked(visits):
     page = visits.show(visits.file(report(recorded("agv", "pddl"))))
     running = page.locator("#tree li[aria-current=step]")
-    for time, step in ((5, "cross(cross_c1"), (20, "cross(cross_c4")):
+    for time, step in ((5, "cross(cross_c1"), (30, "cross(cross_c4")):
         slide(page, time)
         assert [step in words for words in running.all_inner_texts()] == [True]
 

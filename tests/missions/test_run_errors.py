@@ -54,7 +54,11 @@ def drawn(run):
             'an object "values"',
         ),
         ("now", "soon", "now of Odd shows 'soon' after -inf s; expected is the time"),
-        ("advance", raising, rf"the world of mission rover failed .*KeyError: 'lens'; {HERE}"),
+        (
+            "advance",
+            raising,
+            rf"rover under manager ours failed .*KeyError: 'lens'; {HERE}",
+        ),
         ("results", raising, rf"results\(\) of Odd failed .*KeyError: 'lens'; {HERE}"),
     ],
 )

@@ -15,6 +15,7 @@ from rosa_bt import (
     BehaviourRegistry,
     ClockError,
     Delay,
+    ForAction,
     Retry,
     Timeout,
     Timer,
@@ -192,6 +193,29 @@ def test_clock_that_is_set_back_is_refused_if_chosen():
     with pytest.raises(ClockError, match="set back from 5 s to 1 s; make a new TreeRunner"):
         runner.update()
     assert runner.status is Status.INVALID
+
+
+def test_timer_that_runs_already_begins_anew_with_a_runner():
+    timer = timers.Timer("t", 2.0)
+    list(timer.tick())
+    clock = Clock()
+    clock.now = 100.0
+    assert run(timer, clock, 103.0) == "RRSR"
+
+
+def test_knowledge_base_of_a_tree_follows_its_clock(caplog):
+    model = Model("rover")
+    model.action("drive")
+    clock = Clock()
+    clock.now = 100.0
+    kb = KnowledgeBase(model, clock=clock)
+    runner = TreeRunner(ForAction("drive", kb, "drive", Running("r")), clock=clock)
+    runner.tick()
+    clock.now = 2.0
+    runner.tick()
+    assert (runner.status, kb.now) == (Status.RUNNING, 100.0)
+    clock.now = 3.0
+    assert kb.now == 101.0
 
 
 # ---------------------------------------------------------------- setup

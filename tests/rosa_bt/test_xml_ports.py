@@ -172,20 +172,18 @@ class Prepared(Finished):
 
 
 @pytest.mark.parametrize(
-    ("factory", "kind", "element", "model", "is_condition"),
+    ("factory", "element", "model", "is_condition"),
     [
-        (Finished, None, "<leaf/>", "", True),
-        (Prepared, None, "<leaf/>", "", False),
-        (Finished, "action", '<Condition ID="leaf"/>', "", False),
-        (Prepared, "condition", "<leaf/>", "", True),
-        (Prepared, None, '<Condition ID="leaf"/>', "", True),
-        (Finished, None, "<leaf/>", '<Action ID="leaf"><input_port name="x"/></Action>', False),
+        (Finished, "<leaf/>", "", True),
+        (Prepared, "<leaf/>", "", False),
+        (Prepared, '<Condition ID="leaf"/>', "", True),
+        (Finished, "<leaf/>", '<Action ID="leaf"><input_port name="x"/></Action>', False),
     ],
 )
-def test_only_condition_is_asked_again(factory, kind, element, model, is_condition):
+def test_only_condition_is_asked_again(factory, element, model, is_condition):
     asked = []
     registry = registry_of({"b": ("A", "R")}, [])
-    registry.register("leaf", lambda name: factory(name, asked), kind=kind)
+    registry.register("leaf", lambda name: factory(name, asked))
     text = wrapped(f"<WhileDoElse>{element}<b/></WhileDoElse>")
     text = text.replace("</root>", f"<TreeNodesModel>{model}</TreeNodesModel></root>")
     tree = load_xml(text, registry)

@@ -114,7 +114,7 @@ def registry_for(case, said):
         cls.tag = tag
         cls.script = cycle(script)
         cls.said = said
-        registry.register(tag, cls, kind="action" if kind == "A" else "condition")
+        registry.register(tag, cls)
     return registry
 
 
