@@ -279,13 +279,13 @@ class Domain:
         return tuple(findings)
 
     def may_do(self, schema: Schema, action: str) -> bool:
-        """Whether a PDDL action may do a ROSA action, by the facts of the problem file."""
+        """Whether a PDDL action may do a ROSA action, by the facts of the problem file, if any."""
         if schema.action is None or schema.action not in dict(schema.parameters):
             return schema.action == action
         kind = self.signatures.get(f"{schema.name.lower()}_action")
         if kind is None or len(kind.types) != 1:
             return True
-        return f"({kind.name} {action})" in self.facts
+        return not self.facts or f"({kind.name} {action})" in self.facts
 
     @cached_property
     def rosa_actions(self) -> tuple[str, ...]:
@@ -477,9 +477,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
     if not names:
         return "there are none"
     by_lower = {candidate.lower(): candidate for candidate in names}
-    close = [
-        by_lower[match] for match in get_close_matches(name.lower(), by_lower, n=3)
-    ]
+    close = [by_lower[match] for match in get_close_matches(name.lower(), by_lower, n=3)]
     if close:
         return "nearest: " + ", ".join(close)
     shown = ", ".join(names[:10]) + (", ..." if len(names) > 10 else "")

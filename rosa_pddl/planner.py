@@ -8,7 +8,6 @@ from concurrent.futures import Future, wait
 from dataclasses import dataclass, field, replace
 from itertools import chain, combinations
 from math import comb, inf
-from numbers import Real
 
 from rosa_pddl.domain import (
     Domain,
@@ -84,7 +83,7 @@ class Planner:
             wrong = f"{engine} plans one step after the other; overlapping steps are for 'kairos'"
         if wrong is not None:
             raise PlannerSettingError(wrong)
-        if not (isinstance(timeout_s, Real) and 0.0 < timeout_s < inf):
+        if not (isinstance(timeout_s, int | float) and 0.0 < timeout_s < inf):
             message = f"timeout_s is {timeout_s!r}, expected seconds: more than 0, and finite"
             raise PlannerSettingError(message)
         self.process = EngineProcess()
@@ -220,13 +219,8 @@ class _Planning:
     def _try(self, strategy: str, deadline: float) -> PlanningResult | None:
         """Return the answer of a strategy; None if the search gave up, as engines will do."""
         try:
-            if strategy == SEARCH:
-                task = self._ground(deadline)
-                if len(task.steps) * _MOVES_FOR_AN_OPERATION > self._planner.moves:
-                    return None  # putting numbers into many operations takes longer than an engine
-                answer = self._search(task, self._planner.moves, deadline)
-            else:
-                answer = self._ask(strategy, deadline)
+            is_search = strategy == SEARCH
+            answer = self._search(deadline) if is_search else self._ask(strategy, deadline)
             return self._checked(strategy, answer)
         except Cancelled:
             raise
@@ -280,27 +274,23 @@ class _Planning:
 
     # ------------------------------------------------------------ the search
 
-    def _ground(self, deadline: float) -> Grounded:
-        """Return the grounded actions, made now if need be."""
+    def _search(self, deadline: float) -> PlanningResult:
+        """Search; raise CapReached where an engine is quicker."""
+        moves = self._planner.moves
 
-        def go_on(instances: int) -> None:
-            self._check(deadline)
-            if instances > self._planner.moves:
-                raise CapReached  # an engine is quicker
+        def go_on(instances: int = 0) -> None:
+            if self.cancelled.is_set():
+                raise Cancelled
+            if instances > moves or time.monotonic() > deadline:
+                raise CapReached
 
-        return self._planner.ground(self._domain, self._problem.state, go_on)
-
-    def _search(self, task: Grounded, cap: int, deadline: float) -> PlanningResult:
-        steps = task.plan(self._problem, cap, lambda: self._check(deadline))
+        task = self._planner.ground(self._domain, self._problem.state, go_on)
+        # putting numbers into many operations takes longer than an engine
+        go_on(len(task.steps) * _MOVES_FOR_AN_OPERATION)
+        steps = task.plan(self._problem, moves, go_on)
         if steps is None:
             return PlanningResult(Outcome.UNSOLVABLE_PROVEN)
         return PlanningResult(Outcome.SOLVED_OPTIMALLY, steps)
-
-    def _check(self, deadline: float) -> None:
-        if self.cancelled.is_set():
-            raise Cancelled
-        if time.monotonic() > deadline:
-            raise CapReached
 
     # ------------------------------------------------------------ checks and reports
 

@@ -539,7 +539,16 @@ class Replanning:
         if outcome.is_solved:
             assumed = self._effects.assumptions(result.steps, state)
             result = replace(result, message="; ".join(assumed))
-        self._record(question, result)
+        record = PlanRecord(
+            at_s=question.at_s,
+            reason=question.reason,
+            outcome=outcome,
+            steps=result.steps,
+            engine=result.engine,
+            message=result.message,
+            cause=question.cause,
+        )
+        self.records = record.added_to(self.records)
         if not outcome.is_passing:
             self.backoff.forget(None)
         is_fresh = self._is_same(problem, state)
@@ -556,18 +565,6 @@ class Replanning:
         why = f"no plan: what {result.engine} gave cannot be done event by event: {wrong}"
         self._give_up(replace(problem, state=state), why)
         return None
-
-    def _record(self, question: _Question, result: PlanningResult) -> None:
-        record = PlanRecord(
-            at_s=question.at_s,
-            reason=question.reason,
-            outcome=result.outcome,
-            steps=result.steps,
-            engine=result.engine,
-            message=result.message,
-            cause=question.cause,
-        )
-        self.records = record.added_to(self.records)
 
     def _without_plan(self, question: _Question, result: PlanningResult, state: State) -> None:
         """Start a diagnosis or a retry, or conclude."""

@@ -4,7 +4,7 @@ import gc
 import weakref
 
 import pytest
-from pddl_world import World
+from pddl_world import FakeKb, World
 from py_trees.common import Status
 
 from rosa_pddl import PddlError, Planner, Problem, UnknownNameError, initial_state, parse_domain
@@ -128,6 +128,20 @@ def test_what_cannot_come_or_go_is_refused_by_name_and_nothing_changes(rocks):
         world.executor.remove_object("drive")
     assert world.executor.objects("place") == ("base", "crater")
     assert world.run() is Status.SUCCESS
+
+
+def test_a_domain_without_a_problem_gets_all_from_python():
+    world = World(parse_domain(DOMAIN), kb=lambda _: FakeKb(["drive"]))
+    executor = world.executor
+    world.facts = {"(drive_action drive)": True, "(at base)": True}
+    for name, kind in (("drive", "action"), ("base", "place"), ("crater", "place")):
+        executor.add_object(name, kind)
+    assert executor.findings == ()
+    executor.goals.add("(at crater)")
+    assert world.run(until="drive") is Status.RUNNING
+    world.facts = {}
+    assert world.run() is Status.SUCCESS
+    assert executor.holds("(at crater)")
 
 
 TANKS = (
