@@ -228,7 +228,7 @@ class Measurement(KbBehaviour):
         self.attribute = kb.attributes[attribute]
         self.operator = operator
         self.value = float(value)
-        self._unknown = unknown
+        self.unknown = unknown
 
     def update(self) -> Status:
         name = self.attribute.name
@@ -236,7 +236,7 @@ class Measurement(KbBehaviour):
         if measured is None or self.attribute.is_stale:
             when = "yet" if measured is None else "any more"
             self.feedback_message = f"{name} is not measured {when}"
-            return self._unknown
+            return self.unknown
         holds = OPERATORS[self.operator](measured, self.value)
         violation = f"{name} {measured:.6g} is not {self.operator} {self.value:.6g}"
         return self._answer("" if holds else violation)

@@ -7,6 +7,7 @@ tree; in a tree without one, by the monotonic clock of this computer.
 import math
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import py_trees.decorators
 import py_trees.timers
@@ -108,6 +109,10 @@ class UntilSuccess(Decorator):
         return RUNNING if self.decorated.status is FAILURE else self.decorated.status
 
 
+_LEAST = {"duration": 0, "pause": 0, "num_failures": 1}
+"""The least values of attributes that are numbers."""
+
+
 class ClockFollower(Behaviour):
     """A behaviour that counts by the clock of its runner; base class."""
 
@@ -122,6 +127,14 @@ class Timed(ClockFollower):
     """Has a start, from which it counts; base class."""
 
     _since = -math.inf
+
+    def __setattr__(self, name: str, value: Any) -> None:  # noqa: ANN401  # any attribute
+        """Refuse a number that is too small, also in the constructors of py_trees."""
+        least = _LEAST.get(name, -math.inf)
+        if least >= 0 and not (isinstance(value, int | float) and value >= least):
+            kind = type(self).__name__
+            raise ValueError(f"{kind} {self.name!r}: {name} is at least {least}, not {value!r}")
+        super().__setattr__(name, value)
 
     def follow(self, clock: Clock) -> None:
         """Count by this clock; what has begun by another one begins anew."""

@@ -233,12 +233,15 @@ class ActionRequest:
     def advance_halting(self) -> None:
         """Call `halting` of the owner once; release the request if that is over, or too late."""
         owner = self.owner
+        status = RUNNING
         try:
-            is_over = owner.halting() is not RUNNING
+            status = owner.halting()
+            if type(status) is not Status:
+                advice = "return Status.RUNNING until the robot has stopped, then Status.SUCCESS"
+                raise TypeError(f"halting returned {status!r}; {advice}")
         except Exception as error:
             report(owner, error, " (while halting)")
-            is_over = True
-        if is_over:
+        if status in (SUCCESS, FAILURE, INVALID):
             self.end_halting("")
         elif self._kb.now - self._halting_since >= owner.halting_timeout - 1e-9:
             late = f"{owner.name} did not halt within {owner.halting_timeout:g} s"

@@ -281,7 +281,8 @@ class MissionRun(ABC):
         before = self.world.now
         title = f"the world of mission {self.mission.name}"
         method = f"advance() of {type(self.world).__name__}"
-        messages = self.world.advance(until)
+        with blamed(lambda: f"{title} failed after {before:.1f} s"):
+            messages = self.world.advance(until)
         if not isinstance(messages, list):
             expected = "a list of messages, empty if there are none"
             raise MissionError(f"{method} gives {messages!r:.100}; expected is {expected}")

@@ -10,13 +10,12 @@ from xml.etree import ElementTree
 from xml.parsers.expat import ExpatError, ParserCreate
 
 from rosa_bt.exceptions import XmlError
-from rosa_bt.xml.blackboard import key_of
-from rosa_bt.xml.nodes import RULES
+from rosa_bt.xml.nodes import CHECKS, RULES
 
 EXPLICIT = ("Action", "Condition", "Control", "Decorator")
 """Tags of elements whose ID is the name of the node."""
 MODELS = (*EXPLICIT, "SubTree")
-_OF_EDITORS = ("_autoremap", "_collapsed", "_description", "_fullpath", "_uid")
+_OF_EDITORS = ("_collapsed", "_description", "_fullpath", "_uid")
 """Attributes, in small letters, that are no rules of a node and that editors write."""
 _SCRIPTS = ("Script code", "ScriptCondition code", "Precondition if")
 _QUOTED = re.compile(r"""'[^']*'|"([^"']*)\"""")
@@ -40,10 +39,19 @@ _PORTS = {
     "SubTree __autoremap": "_autoremap",
     "SubTree __shared_blackboard": "_autoremap",
 }
-_CHECKS = tuple(f"BlackboardCheck{kind}" for kind in ("Bool", "Double", "Int", "String"))
-_NO_COUNTERPART = ("ConsumeQueue", "ManualSelector", "PopFromQueue", "QueueSize")
-MARKS = frozenset({*_NODES, *_CHECKS, "__shared_blackboard"})
-"""Nodes, and an attribute, by which a file without BTCPP_format is known to be of version 3."""
+NO_COUNTERPART = ("ConsumeQueue", "ManualSelector", "PopFromQueue", "QueueSize")
+"""Nodes of version 3 that are not read."""
+MARKS = frozenset({*_NODES, *_PORTS, *CHECKS, *NO_COUNTERPART})
+"""Nodes, and ports of nodes, by which a file without BTCPP_format is known to be of version 3."""
+_OPPOSITE = "_skipIf (with the opposite condition)"
+_MEANT = {
+    **{rule.lower(): rule for rule in (*RULES, "_autoremap")},
+    "__shared_blackboard": "_autoremap",
+    "_onlyif": _OPPOSITE,
+    "_precondition": _OPPOSITE,
+    "_postcondition": "_post",
+}
+"""The rules that users mean, by what they may write, in small letters."""
 
 _log = logging.getLogger(__name__)
 
@@ -104,14 +112,8 @@ def _parse(text: str | bytes, file: str) -> Element:
 
 
 def _convert(element: Element, trees: Container[str | None]) -> Iterator[str]:
-    """Convert an element of version 3 in place; yield what was written, and what it is now.
-
-    Raises:
-        XmlError: the node has no counterpart in version 4.
-    """
+    """Convert an element of version 3 in place; yield what was written, and what it is now."""
     name = element.node
-    if name in _NO_COUNTERPART:
-        raise element.error(f"<{name}> of version 3 has no counterpart in version 4; register it")
     if name in MARKS and element.tag in EXPLICIT:
         element.tag = element.attrib.pop("ID")
     if element.tag in trees:
@@ -121,28 +123,20 @@ def _convert(element: Element, trees: Container[str | None]) -> Iterator[str]:
     elif element.tag in _NODES:
         element.tag = _NODES[name]
         yield f"<{name}> is <{element.tag}>"
+    is_plain = element.tag == "SubTree" and name not in _NODES  # a SubTreePlus has literals
     for attribute, text in list(element.items()):
         renamed = _PORTS.get(f"{element.tag} {attribute}")
-        if renamed and text.lower() != "false":
+        if renamed:
             element.set(renamed, element.attrib.pop(attribute))
-            yield f"{attribute} is {renamed}"
-        elif element.tag == "SubTree" and attribute in element.ports and text[:1] != "{":
+            limit = ", without keys that begin with _" if renamed == "_autoremap" else ""
+            yield f"{attribute} is {renamed}{limit}"
+        elif is_plain and attribute in element.ports and text[:1] != "{":
             element.set(attribute, f"{{{text}}}")
             yield f'{attribute}="{text}" is {attribute}="{{{text}}}"'
     key = element.get("output_key", "")
     if name == "SetBlackboard" and key[:1] == "{":
         element.set("output_key", key[1:-1])
         yield f'output_key="{key}" is output_key="{key[1:-1]}"'
-    if name in _CHECKS:
-        sides = []
-        for port in ("value_A", "value_B"):
-            text = element.attrib.pop(port, "")
-            literal = f"'{text}'" if name.endswith("String") else text
-            sides.append(key_of(text, port) or literal)
-        element.tag = "Precondition"
-        element.set("if", " == ".join(sides))
-        element.set("else", element.attrib.pop("return_on_mismatch", "FAILURE"))
-        yield f'<{name}> is <Precondition if="{element.get("if")}">'
 
 
 class Document:
@@ -166,8 +160,8 @@ class Document:
         self._files: dict[str, Element] = {}
         roots = []
         for source in sources:
-            text = source.lstrip("\ufeff \t\r\n") if isinstance(source, str) else ""
-            if text.startswith("<"):
+            text = str(source).lstrip("\ufeff \t\r\n")
+            if not text or text.startswith("<"):
                 roots.append(self._collect(self._parse(text, "<text>"), Path()))
             else:
                 roots.append(self._file(Path(source), "<text>"))
@@ -221,11 +215,11 @@ class Document:
             raise root.error(f"the outermost element is <root>, not <{root.tag}>")
         if len(root.findall("TreeNodesModel")) > 1:
             raise root.error("a file has one TreeNodesModel; put all its elements into the first")
-        is_old = self._is_version_3(root)
         trees = root.findall("BehaviorTree")
         if len(trees) == 1:
             trees[0].attrib.setdefault("ID", "BehaviorTree")
         names = [tree.get("ID") for tree in trees]
+        is_old = self._is_version_3(root, names)
         for element in root.children:
             if element.tag == "BehaviorTree":
                 if len(element) != 1:
@@ -234,8 +228,14 @@ class Document:
                     )
                 self._add(self.trees, element)
                 for node in element.descendants:
-                    for change in _convert(node, names) if is_old else ():
-                        self.note(node.where, f"version 3 is converted: {change}")
+                    if is_old:
+                        for change in _convert(node, {*names, *self.trees}):
+                            self.note(node.where, f"version 3 is converted: {change}")
+                    elif "BTCPP_format" not in root.attrib:
+                        for change in _convert(Element(node.tag, node.attrib), names):
+                            self.note(node.where, f"read as it stands; in version 3, {change}")
+                    if node.node in CHECKS:
+                        self.note(node.where, f"<{node.node}> is not in version 4; read as in 3")
                     self._read_rules(node)
             elif element.tag == "TreeNodesModel":
                 for model in element.children:
@@ -245,12 +245,14 @@ class Document:
                 self._include(element, folder)
         return root
 
-    def _is_version_3(self, root: Element) -> bool:
-        """Tell whether a file is of version 3: it says so, or has its nodes and says nothing."""
+    def _is_version_3(self, root: Element, names: Iterable[str | None]) -> bool:
+        """Tell whether a file is of version 3: it says so, or has its words and says nothing."""
         version = root.get("BTCPP_format", "")
         is_old = version[:1] == "3"
+        marks = {*MARKS, *names} - {"BehaviorTree"}
         for element in root.descendants if not version else ():
-            is_old |= not MARKS.isdisjoint([element.tag, element.get("ID"), *element.keys()])
+            ports = [f"{element.node} {attribute}" for attribute in element.attrib]
+            is_old |= not marks.isdisjoint([element.node, *ports])
         if version not in ("3", "4"):
             given = f"BTCPP_format {version!r}" if version else "no BTCPP_format"
             self.note(root.where, f"it has {given}; read as version {3 if is_old else 4}")
@@ -264,12 +266,12 @@ class Document:
                 if after != before:
                     element.set(name, after)
                     self.note(element.where, f"{name}: texts stand in single quotes: {after}")
-            elif name[:1] == "_" and name.lower() not in _OF_EDITORS:
-                (near,) = get_close_matches(name, (*RULES, "_autoremap"), 1, 0.0)
-                if name == "__shared_blackboard":
-                    near = "_autoremap"
+            elif name[:1] == "_" and name.lower() not in _OF_EDITORS and name != "_autoremap":
+                advice = f"the rules are {', '.join(RULES)}"
+                for near in get_close_matches(name.lower(), _MEANT, 1):
+                    advice = f"did you mean {_MEANT[near]}?"
                 del element.attrib[name]
-                self.note(element.where, f"{name} means nothing; did you mean {near}?")
+                self.note(element.where, f"{name} means nothing; {advice}")
 
     def _add(self, table: dict[str, Element], element: Element) -> None:
         name = element.needed("ID")

@@ -30,7 +30,7 @@ from rosa_bt.xml.blackboard import (
     convert,
     truth,
 )
-from rosa_bt.xml.scripts import ParsedScript, parse_script
+from rosa_bt.xml.scripts import ParsedScript, is_equal, parse_script
 
 SKIPPED = INVALID
 DONE = (SUCCESS, FAILURE)
@@ -424,6 +424,7 @@ class ReactiveFallback(ReactiveSequence):
 class PipelineSequence(ReactiveSequence):
     """A sequence that ticks earlier children again, and goes on even if one is RUNNING then."""
 
+    is_side_by_side = True
     _furthest = 0
 
     def waits_for(self, place: int) -> bool:
@@ -439,6 +440,11 @@ class Parallel(XmlNode, success_count=-1, failure_count=1):
     """
 
     is_side_by_side = True
+
+    def prepare(self, ports: Ports) -> None:
+        super().prepare(ports)
+        for name in ports.literals:
+            self._threshold(name)
 
     def decide(self) -> Ticking:
         thresholds = [self._threshold(name) for name in self.PORTS]
@@ -755,8 +761,30 @@ class Loop(Gate, is_node=False):
         return FAILURE if verdict is FAILURE else RUNNING
 
 
+class BlackboardCheck(
+    OneChild, is_node=False, value_A=object, value_B=object, return_on_mismatch=FAILURE
+):
+    """(Version 3) Ticks the child while two values are equal, and halts it if they are not.
+
+    A key without a value is equal to nothing.
+    """
+
+    kind: type
+
+    def decide(self) -> Ticking:
+        is_same = False
+        with suppress(NodeError):
+            values = [self.ports.get(name) for name in ("value_A", "value_B")]
+            is_same = is_equal(*[convert(value, self.kind) for value in values])
+        if is_same:
+            return (yield from super().decide())
+        return self.end(self.ports.get("return_on_mismatch"))
+
+
 for _name, _zero in {"Int": 0, "Double": 0.0, "Bool": False, "String": ""}.items():
     type(f"Loop{_name}", (Loop,), {}, queue=None, value=_zero, if_empty=SUCCESS)
+    type(f"BlackboardCheck{_name}", (BlackboardCheck,), {"kind": type(_zero)})
+CHECKS = tuple(name for name in NODES if name.startswith("BlackboardCheck"))
 
 
 class Timed(OneChild, is_node=False):
@@ -899,6 +927,7 @@ class RoundRobin(XmlNode, wrap_around=False):
 class NonblockingSequence(XmlNode):
     """Ticks all children in each tick, until one fails or all have succeeded."""
 
+    is_side_by_side = True
     runs = False
 
     def decide(self) -> Ticking:
@@ -945,13 +974,23 @@ class PauseResumeController(
     def initialise(self) -> None:
         self.forget()
 
-    def pause(self) -> None:
-        """Pause from the next tick on, unless it is paused."""
-        self._next = None if self._state == 1 else 2
+    @property
+    def is_paused(self) -> bool:
+        return self._state == 1 and self._next is None
 
-    def resume(self) -> None:
-        """Go on from the next tick on, if it is paused."""
-        self._next = 3 if self._state == 1 else None
+    def pause(self) -> bool:
+        """Pause from the next tick on; False if it is paused."""
+        if self.is_paused:
+            return False
+        self._next = 2
+        return True
+
+    def resume(self) -> bool:
+        """Go on from the next tick on; False if it is not paused, also after `pause`."""
+        is_accepted = self.is_paused
+        if is_accepted:
+            self._next = 3
+        return is_accepted
 
     def decide(self) -> Ticking:
         if self._next is not None:

@@ -15,7 +15,7 @@ from rosa_bt.composites import DoUntilUnfeasible
 from rosa_bt.decorators import Clock, ClockFollower, ForAction, Retry, UntilSuccess
 from rosa_bt.exceptions import RegistryError, RosaBtError, XmlError, hint, in_words
 from rosa_bt.xml.blackboard import Blackboard, Declared, Ports, convert, key_of
-from rosa_bt.xml.document import MARKS, Document, Element
+from rosa_bt.xml.document import MARKS, NO_COUNTERPART, Document, Element
 from rosa_bt.xml.nodes import NODES, RULES, OneChild, Slot, is_plain
 from rosa_bt.xml.scripts import parse_script
 
@@ -256,8 +256,11 @@ class _Builder:
         tag = element.node
         entry = self._registry.entries.get(tag) or NODES.get(tag)
         if entry is None and tag != "SubTree":
-            problem = f"is unknown; {hint(tag, [*self._registry.entries, *NODES], 'nodes')}"
-            if tag in MARKS:
+            known = [*self._registry.entries, *NODES, "SubTree"]
+            problem = f"is unknown; {hint(tag, known, 'nodes')}"
+            if tag in NO_COUNTERPART:
+                problem = "of version 3 has no counterpart in version 4; register it"
+            elif tag in MARKS:
                 problem = 'is of version 3; write BTCPP_format="3", or its name in version 4'
             elif tag in self._document.trees:
                 problem = f'is a tree; write <SubTree ID="{tag}"/>'
@@ -302,9 +305,9 @@ class _Builder:
         late = [name for name in ports.keys if name not in declared]
         for name in late:
             if name not in vars(behaviour):
-                problem = f"{type(behaviour).__name__} keeps no attribute {name!r}; declare a port"
-                text = f"{name}={written[name]!r} is not read: {problem}"
-                self._document.note(element.where, text)
+                problem = f"{type(behaviour).__name__} has no attribute {name!r} to read it into"
+                advice = f"write self.{name} = {name} in its __init__, or declare a port"
+                raise element.error(f"{name}={written[name]!r}: {problem}; {advice}")
         initialise = behaviour.initialise
 
         def read_and_initialise() -> None:

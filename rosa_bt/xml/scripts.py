@@ -35,7 +35,7 @@ def _quotient(left: float, right: float) -> float:
     return left / right if right else left * math.copysign(math.inf, right)
 
 
-def _is_equal(left: Value, right: Value) -> bool:
+def is_equal(left: Value, right: Value) -> bool:
     return bool(left == right) if isinstance(left, str) else abs(left - right) < _EPSILON
 
 
@@ -52,8 +52,8 @@ _OPERATORS: Mapping[str, tuple[Callable[[Value], Any], Callable[[Any, Any], Any]
 }
 """How each operator reads its two numbers, and what it does with them."""
 _COMPARISONS: Mapping[str, Callable[[Value, Value], bool]] = {
-    "==": _is_equal,
-    "!=": lambda left, right: not _is_equal(left, right),
+    "==": is_equal,
+    "!=": lambda left, right: not is_equal(left, right),
     "<": operator.lt,
     ">": operator.gt,
     "<=": operator.le,

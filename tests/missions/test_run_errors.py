@@ -57,7 +57,7 @@ def drawn(run):
         (
             "advance",
             raising,
-            rf"rover under manager ours failed .*KeyError: 'lens'; {HERE}",
+            rf"the world of mission rover failed .*KeyError: 'lens'; {HERE}",
         ),
         ("results", raising, rf"results\(\) of Odd failed .*KeyError: 'lens'; {HERE}"),
     ],

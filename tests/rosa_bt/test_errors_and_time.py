@@ -162,6 +162,21 @@ def test_subclass_that_reads_the_computers_clock_is_refused(base):
         TreeRunner(root, clock=Clock())
 
 
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Timer("t", -1),
+        lambda: Timeout("t", Running("r"), float("nan")),
+        lambda: Delay("t", Running("r"), "x"),
+        lambda: Retry("t", Running("r"), 3, pause=-2),
+        lambda: Retry("t", Running("r"), 0),
+    ],
+)
+def test_duration_or_number_that_is_too_small_is_refused(make):
+    with pytest.raises(ValueError, match=r"'t': \w+ is at least [01], not "):
+        make()
+
+
 def test_xml_tree_follows_the_runner_unless_it_has_a_clock():
     text = '<root BTCPP_format="4"><BehaviorTree><Sleep msec="3000"/></BehaviorTree></root>'
     assert run(load_xml(text, BehaviourRegistry()), Clock(), 4.0) == "RRRSR"

@@ -5,9 +5,17 @@ from acting import Act, Clock
 from py_trees.behaviours import StatusQueue
 from py_trees.common import ParallelPolicy, Status
 from py_trees.composites import Parallel, Selector, Sequence
+from xml_leaves import wrapped
 
 from kb import KnowledgeBase, Model
-from rosa_bt import ForAction, RosaAction, TreeRunner, do_until_unfeasible
+from rosa_bt import (
+    BehaviourRegistry,
+    ForAction,
+    RosaAction,
+    TreeRunner,
+    do_until_unfeasible,
+    load_xml,
+)
 
 
 class Braking(RosaAction):
@@ -127,6 +135,26 @@ def test_halting_that_takes_too_long_ends_with_the_reason(robot, caplog):
     problem = "inspect did not halt within 2 s: brakes 3"
     assert robot.kb.history.actions[0].reason.endswith(problem)
     assert caplog.messages == [problem]
+
+
+@pytest.mark.parametrize("answer", [None, True])
+def test_halting_that_returns_no_status_is_an_error_and_waits(robot, caplog, answer):
+    task = Braking(robot.kb, halting_timeout=2.0)
+    task.halting = lambda: answer
+    runner = interrupted(robot, task, Act(robot.kb, "go_home"))
+    assert robot.tick(runner, 3) == [["inspect"], ["inspect"], ["go_home"]]
+    advice = "return Status.RUNNING until the robot has stopped, then Status.SUCCESS"
+    assert f"halting returned {answer}; {advice}" in caplog.messages[0]
+    assert len(caplog.messages) == 2
+
+
+@pytest.mark.parametrize("node", ["NonblockingSequence", "ParallelAll"])
+def test_actions_side_by_side_in_xml_do_not_wait(robot, node):
+    registry = BehaviourRegistry(kb=robot.kb)
+    registry.register("Brake", lambda name: Braking(robot.kb))
+    registry.register("Home", lambda name: Act(robot.kb, "go_home"))
+    tree = load_xml(wrapped(f"<{node}><Brake/><Home/></{node}>"), registry)
+    assert robot.tick(TreeRunner(tree, clock=robot.clock)) == [["inspect", "go_home"]]
 
 
 def test_shutdown_releases_what_still_halts(robot):

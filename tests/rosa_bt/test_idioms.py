@@ -7,9 +7,11 @@ from hypothesis import strategies as st
 from py_trees.behaviours import Failure, Running, Success
 from py_trees.common import ParallelPolicy, Status
 from py_trees.composites import Parallel, Selector, Sequence
+from xml_leaves import wrapped
 
 from kb import ConfigurationManager, InvalidValue, KnowledgeBase, Model, UnknownName
 from rosa_bt import (
+    BehaviourRegistry,
     ForAction,
     HasStatus,
     Measurement,
@@ -20,6 +22,7 @@ from rosa_bt import (
     feasible_then_act,
     first_feasible,
     forget_progress,
+    load_xml,
     switch_safely,
 )
 
@@ -233,6 +236,16 @@ def test_transition_names_actions_of_the_tree_and_has_one_place(kb):
     ):
         switch_safely(root, {("serch", "charge"): Success("land")})
     with pytest.raises(RuntimeError, match="'land' already has parent 'switch to charge'"):
+        switch_safely(root, {("search", "charge"): Success("land")})
+
+
+@pytest.mark.parametrize("node", ["ParallelAll", "NonblockingSequence", "PipelineSequence"])
+def test_transition_below_a_node_of_xml_that_is_parallel_is_refused(kb, node):
+    registry = BehaviourRegistry(kb=kb)
+    registry.register("Act", lambda name, action: Act(kb, action))
+    actions = '<Act action="search"/><Act action="charge"/>'
+    root = load_xml(wrapped(f"<{node}>{actions}</{node}>"), registry)
+    with pytest.raises(TreeChangeError, match=f"'search' is below '{node}': its actions run at"):
         switch_safely(root, {("search", "charge"): Success("land")})
 
 

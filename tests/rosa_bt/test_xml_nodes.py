@@ -8,7 +8,7 @@ from acting import Clock
 from py_trees.common import Status
 from xml_leaves import registry_of, wrapped
 
-from rosa_bt import RosaBtError, TreeRunner, load_xml
+from rosa_bt import ExportError, RosaBtError, TreeRunner, export_xml, load_xml
 from rosa_bt.xml.nodes import NODES
 
 PAGE = Path(__file__).parents[2] / "docs" / "trees_in_xml.md"
@@ -126,7 +126,6 @@ def test_page_has_a_row_for_each_node():
     "text",
     [
         "<IfThenElse><a _skipIf='true'/><b/></IfThenElse>",
-        "<Parallel success_count='2'><a/></Parallel>",
         "<Script code='v = 1'/>",
         "<Script code=\"v := 'x' == 1\"/>",
         "<a _skipIf=\"'x'\"/>",
@@ -157,7 +156,7 @@ def test_pause_and_resume_tick_their_children_to_the_end():
     text = wrapped("<PauseResumeController><a/><b/><d/><e/></PauseResumeController>")
     tree = load_xml(text, registry_of(leaves_of("a:R b:R d:RS e:S"), said))
     node = tree.child.node
-    node.resume()
+    assert not node.resume()
     happened = []
     for call in (None, node.pause, None, None, node.resume, None, None):
         if call is not None:
@@ -166,3 +165,47 @@ def test_pause_and_resume_tick_their_children_to_the_end():
         tree.tick_once()
         happened.append(" ".join(said))
     assert happened == ["a:s:R", "a:halt d:s:R", "d:r:S", "b:s:R", "b:halt e:s:S", "a:s:R", "a:r:R"]
+
+
+def test_pause_and_resume_before_a_tick_are_answered_as_in_nav2():
+    said = []
+    text = wrapped("<PauseResumeController><a/><b/><d/><e/></PauseResumeController>")
+    tree = load_xml(text, registry_of(leaves_of("a:R b:R d:S e:S"), said))
+    node = tree.child.node
+    tree.tick_once()
+    assert [node.pause(), node.resume()] == [True, False]
+    tree.tick_once()
+    assert node.is_paused
+    assert [node.pause(), node.resume(), node.pause()] == [False, True, True]
+    tree.tick_once()
+    assert said == ["a:s:R", "a:halt", "d:s:S", "d:s:S"]
+
+
+OLD = '<root><BehaviorTree ID="Main">{}</BehaviorTree></root>'
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "equal", "other"),
+    [
+        ("Int", "5", 5, 6),
+        ("Double", "0.5", 0.5, 0.6),
+        ("Bool", "true", True, False),
+        ("String", "it's", "it's", "its"),
+    ],
+)
+def test_check_of_version_3_asks_in_each_tick(kind, value, equal, other):
+    said = []
+    check = f"BlackboardCheck{kind}"
+    ports = f'value_A="{{v}}" value_B="{value}" return_on_mismatch="RUNNING"'
+    text = OLD.format(f"<{check} {ports}><a/></{check}>")
+    tree = load_xml(text, registry_of(leaves_of("a:R"), said))
+    runner = TreeRunner(tree, clock=Clock(), on_error="raise")
+    for written in (None, equal, equal, other):
+        if written is not None:
+            tree.blackboard["v"] = written
+        said.append(written)
+        runner.tick()
+    assert said == [None, equal, "a:s:R", equal, "a:r:R", other, "a:halt"]
+    assert tree.status is Status.RUNNING
+    with pytest.raises(ExportError, match=f"<{check}> is not in version 4"):
+        export_xml(tree)

@@ -259,6 +259,15 @@ def test_leaves_of_ours_can_be_written():
     assert tree.tip().plants == 4
 
 
+def test_measurement_takes_its_status_from_a_key():
+    _, registry = rover()
+    text = '<Measurement attribute="light" operator=">=" value="0.6" unknown="{status}"/>'
+    tree = load_xml(wrapped(text), registry)
+    tree.blackboard["status"] = Status.RUNNING
+    tree.tick_once()
+    assert tree.status is Status.RUNNING
+
+
 @pytest.mark.parametrize(
     ("element", "message"),
     [
@@ -298,11 +307,36 @@ def test_parameter_with_a_default_may_be_a_key():
     assert tree.notes == ()
 
 
-def test_key_that_no_attribute_takes_is_noted():
+def test_key_that_no_attribute_takes_is_refused():
     registry = BehaviourRegistry()
     registry.register("Stand", lambda name, place="here": Running(name))
-    tree = load_xml(wrapped('<Stand place="{p}"/>'), registry)
-    assert "place='{p}' is not read: Running keeps no attribute 'place'" in tree.notes[0]
+    problem = "place='{p}': Running has no attribute 'place' to read it into; write self.place ="
+    with pytest.raises(XmlError, match=re.escape(problem)):
+        load_xml(wrapped('<Stand place="{p}"/>'), registry)
+
+
+@pytest.mark.parametrize(
+    ("subtree", "expected"),
+    [
+        ('<SubTreePlus ID="Talk" what="World"/>', "World"),
+        ('<SubTreePlus ID="Talk" what="{World}"/>', "earth"),
+        ('<SubTree ID="Talk" what="World" __shared_blackboard="false"/>', "earth"),
+        ('<SubTree ID="Talk" what="World"/>', "World"),
+        ('<Talk what="World"/>', "earth"),
+    ],
+)
+def test_attribute_of_a_subtree_means_what_it_meant_in_version_3(subtree, expected):
+    heard = []
+    content = f'<Sequence><SetBlackboard value="earth" output_key="World"/>{subtree}</Sequence>'
+    text = wrapped(content, Talk='<Say what="{what}"/>').replace('BTCPP_format="4" ', "")
+    registry = BehaviourRegistry(heard=heard)
+    registry.register("Say", Say)
+    tree = load_xml(text, registry)
+    tree.tick_once()
+    assert heard[0][0] == expected
+    unsure = 'read as it stands; in version 3, what="World" is what="{World}"'
+    is_unsure = subtree == '<SubTree ID="Talk" what="World"/>'
+    assert any(unsure in note for note in tree.notes) == is_unsure
 
 
 @pytest.mark.parametrize(

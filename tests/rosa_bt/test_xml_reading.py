@@ -32,6 +32,9 @@ REFUSED = {
     "<aa/>": "<aa> is unknown; did you mean 'a'?",
     "<Sequense><a/></Sequense>": "did you mean 'Sequence' or",
     "<Other/>": '<Other> is a tree; write <SubTree ID="Other"/>',
+    "<Subtree ID='Other'/>": "<Subtree> is unknown; did you mean 'SubTree'?",
+    "<ManualSelector><a/></ManualSelector>": "no counterpart in version 4; register it",
+    "<Parallel success_count='2'><a/></Parallel>": "has 1 children; success_count cannot be more",
     "<SubTreePlus ID='Other'/>": '<SubTreePlus> is of version 3; write BTCPP_format="3"',
     "<a/><b/>": "a tree has one child, not 2; put a Sequence around",
     "<Inverter><a/><b/></Inverter>": "children of <Inverter>: 2; it takes 1 to 1",
@@ -66,6 +69,7 @@ def test_node_that_cannot_be_made_is_refused_with_its_place(content):
 
 NEEDS = '<SubTree ID="B"><input_port name="p" default=""/></SubTree>'
 NO_FILES = {
+    "": "<text>:1: it is no XML: no element found",
     "<root": "<text>:1: it is no XML",
     "<root>\n<BehaviorTree>\n</root>": "<text>:3: it is no XML: mismatched tag",
     "<tree/>": "the outermost element is <root>, not <tree>",
@@ -122,6 +126,13 @@ def test_file_of_a_ros_package_is_found_where_ros_has_it(tmp_path, monkeypatch):
     path = os.pathsep.join([str(tmp_path), str(tmp_path / "install")])
     monkeypatch.setenv("AMENT_PREFIX_PATH", path)
     assert names(load(root('<include ros_pkg="nav" path="x.xml"/>'))) == ["ok", "X"]
+
+
+def test_tree_of_an_included_file_is_a_tag_in_version_3(tmp_path):
+    (tmp_path / "dock.xml").write_text(root(tree("Dock")))
+    main = root('<include path="dock.xml"/>', tree("Main", "<Dock/>"), main="Main")
+    (tmp_path / "main.xml").write_text(main.replace("<root", '<root BTCPP_format="3"'))
+    assert names(load(tmp_path / "main.xml")) == ["ok", "Dock", "Main"]
 
 
 def test_include_is_relative_to_its_file_and_read_once(tmp_path):
