@@ -261,19 +261,17 @@ class LastingFeasibility:
 class FeasibilityEvents:
     """Finds the event of the knowledge base that changed feasibility, if it keeps a log."""
 
-    def __init__(self, domain: Domain, kb: Feasibility) -> None:
-        self._actions = frozenset(domain.rosa_actions)
-        log = getattr(kb, "log", None)
-        self._log: Any = log if hasattr(log, "since") else None
+    def __init__(self, kb: Feasibility) -> None:
+        self._log: Any = getattr(kb, "log", None)
         self._seen = 0 if self._log is None else self._log.last
 
-    def latest(self) -> int | None:
+    def latest(self, domain: Domain) -> int | None:
         """Return the number of the latest event since the last call that changed an action."""
         latest = None
         if self._log is not None and self._log.last != self._seen:
             for event in self._log.since(self._seen):
                 for change in event.changes:
-                    if change.kind == "action" and change.name in self._actions:
+                    if change.kind == "action" and change.name in domain.rosa_actions:
                         latest = event.number
             self._seen = self._log.last
         return latest

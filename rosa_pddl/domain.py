@@ -279,13 +279,13 @@ class Domain:
         return tuple(findings)
 
     def may_do(self, schema: Schema, action: str) -> bool:
-        """Whether a PDDL action may do a ROSA action, by the facts of the problem file."""
+        """Whether a PDDL action may do a ROSA action, by the facts of the problem file, if any."""
         if schema.action is None or schema.action not in dict(schema.parameters):
             return schema.action == action
         kind = self.signatures.get(f"{schema.name.lower()}_action")
         if kind is None or len(kind.types) != 1:
             return True
-        return f"({kind.name} {action})" in self.facts
+        return not self.facts or f"({kind.name} {action})" in self.facts
 
     @cached_property
     def rosa_actions(self) -> tuple[str, ...]:
@@ -370,13 +370,10 @@ def with_object(domain: Domain, name: str, type_name: str) -> Domain:
     """Return a domain with one more object, about which it has no facts.
 
     Raises:
-        UnknownNameError: there is no such type, the name is taken or no PDDL name, or the object
-            would be a ROSA action: only the knowledge base defines those.
+        UnknownNameError: there is no such type, or the name is taken or no PDDL name.
     """
     spelled = domain.spelling("type", type_name)
     lineage = domain.kinds[spelled.lower()][1]
-    if ACTION_TYPE in lineage:
-        raise UnknownNameError(f"{name!r} would be a ROSA action; add it to {domain.file}")
     taken = {other.lower() for other in domain.types}
     if not _NAME.fullmatch(name) or name.lower() in taken:
         message = f"{name!r} cannot be added, expected a name that no object has"
@@ -480,9 +477,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
     if not names:
         return "there are none"
     by_lower = {candidate.lower(): candidate for candidate in names}
-    close = [
-        by_lower[match] for match in get_close_matches(name.lower(), by_lower, n=3, cutoff=0.5)
-    ]
+    close = [by_lower[match] for match in get_close_matches(name.lower(), by_lower, n=3)]
     if close:
         return "nearest: " + ", ".join(close)
     shown = ", ".join(names[:10]) + (", ..." if len(names) > 10 else "")

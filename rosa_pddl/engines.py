@@ -171,10 +171,11 @@ def check_name(engine: str) -> str | None:
         return None
     from unified_planning.engines.factory import DEFAULT_ENGINES
 
-    if engine in DEFAULT_ENGINES:
-        return None
     names = [*DOWNWARD, KAIROS, *DEFAULT_ENGINES]
-    return f"there is no planning engine {engine!r}; {nearest(engine, names)}"
+    if engine in names:
+        return None
+    known = "such as fast-downward-opt, fast-downward and kairos"
+    return f"there is no planning engine {engine!r}, {known}; {nearest(str(engine), names)}"
 
 
 def missing_package(engine: str) -> str | None:

@@ -142,13 +142,10 @@ def check_behaviours(domain: Domain, behaviours: Mapping[str, Factory]) -> None:
     Raises:
         MissingBehaviourError, UnknownNameError: one of them is missing, or is no factory.
     """
-    names = ", ".join(sorted(behaviours)) or "none"
     for schema in domain.schemas:
         if schema not in behaviours:
             message = f"no behaviour for the PDDL action {schema!r} of {domain.file}"
-            raise MissingBehaviourError(
-                f"{message}; given: {names} ({nearest(schema, behaviours)})"
-            )
+            raise MissingBehaviourError(f"{message}; {nearest(schema, behaviours)}")
         if not callable(behaviours[schema]):
             message = f"no behaviour can be made for {schema!r} from {behaviours[schema]!r}"
             advice = "expected what makes one for each step, such as a lambda"
@@ -232,7 +229,7 @@ class PlanExecutor(Behaviour):
         self._belief = Belief(domain, kb, sense)
         self._numbers = self._belief.numbers
         self._effects = ExpectedEffects(domain, kb)
-        self._feasibility = FeasibilityEvents(domain, kb)
+        self._feasibility = FeasibilityEvents(kb)
         forecasts = kb.forecasts if isinstance(kb, LastingFeasibility) else dict
         self._monitor = PlanMonitor(self._effects, self._belief, forecasts)
         self._client = PlannerClient(self._planner, clock, delay_s)
@@ -249,7 +246,6 @@ class PlanExecutor(Behaviour):
         self._ticked: list[Behaviour] = []
         self._cause: int | None = None
         self._clock = clock
-        self._took_s: dict[str, float] = {}
         self._is_midway = False
         self._kb: Any = kb
         self._keeps_required = self._policy.keep_required and hasattr(kb, "request_action")
@@ -276,8 +272,13 @@ class PlanExecutor(Behaviour):
         return self._domain.objects_of(self._domain.spelling("type", type_name))
 
     def add_object(self, name: str, type_name: str) -> None:
-        """Add an object that has appeared; call it between ticks. Raises as `with_object`."""
-        self._use(with_object(self._domain, name, type_name))
+        """Add an object that has appeared; call it between ticks.
+
+        Raises as `with_object`, and PddlError for a ROSA action that the knowledge base lacks.
+        """
+        domain = with_object(self._domain, name, type_name)
+        self._findings = domain.check(self._kb)
+        self._use(domain)
 
     def remove_object(self, name: str) -> None:
         """Remove an object, its goals, and the steps that use it; call it between ticks.
@@ -395,25 +396,25 @@ class PlanExecutor(Behaviour):
 
     def _keep_required(self, status: Status) -> None:
         """Keep the action of a step that has just succeeded required until the next one starts."""
-        action = self._succeeded
+        action = self._succeeded if self._keeps_required else None
         self._succeeded = None
         is_late = self._kept is not None and self._clock() >= self._kept[1]
         if self._running or status != Status.RUNNING or is_late:
             self._let_go()
-        elif action is not None and self._keeps_required:
+        # if it is required by now, another behaviour requires it
+        elif action is not None and not self._kb.actions[action].is_required:
             self._kept = action, self._clock() + self._planner.timeout_s
             self._kb.request_action(action)
 
     def _let_go(self) -> None:
-        """Require the kept action no longer, unless a step does it."""
-        kept = self._kept
+        """Require the kept action no longer."""
+        if self._kept is not None:
+            self._kb.cancel_action(self._kept[0], "completed")
         self._kept = None
-        if kept is not None and kept[0] not in {step.action for step in self.current_steps}:
-            self._kb.cancel_action(kept[0], "completed")
 
     def _sense(self) -> None:
         """Find out which event changed feasibility, and which objects came and went."""
-        self._cause = self._feasibility.latest()
+        self._cause = self._feasibility.latest(self._domain)
         for name, kind, is_there in tuple(self._belief.appeared()):
             if is_there:
                 self.add_object(name, kind)
@@ -470,7 +471,7 @@ class PlanExecutor(Behaviour):
         if not self._running and self._is_over(state):
             if not replanning.left_out:
                 self._drop_plan()
-                self.feedback_message = "the goal holds"
+                self.feedback_message = self.goals.told("the goal holds")
                 return Status.SUCCESS
             if not replanning.is_busy:
                 self._plan = None
@@ -581,6 +582,8 @@ class PlanExecutor(Behaviour):
         step = plan.steps[number]
         running = RunningStep(step, number, self._clock())
         self._running.append(running)
+        if self._kept is not None and self._kept[0] == step.action:
+            self._let_go()  # the step requires it itself
         running.begin(self._factories[step.schema], self, self._setup_arguments)
         self._belief.start(running, step, state)
         self._show_children()
@@ -618,7 +621,6 @@ class PlanExecutor(Behaviour):
         if missing is not None:
             return f"{step} ended although {missing} does not hold"
         self._belief.end(running, step, state)
-        self._took_s[step.schema] = self._clock() - running.began_s
         self._succeeded = step.action
         self._release([running])
         if self._plan is not None:
@@ -667,8 +669,7 @@ class PlanExecutor(Behaviour):
 
     def _expected_s(self, step: Step) -> float:
         """Return how long a step is expected to take [s]: as declared for its arguments."""
-        declared_s = takes_s(self._domain, step, self._belief.observe(), self._belief.numbers)
-        return declared_s or self._took_s.get(step.schema, 0.0)
+        return takes_s(self._domain, step, self._belief.observe(), self._belief.numbers)
 
     def _shares_left(self) -> Mapping[Step, float]:
         """Return which share of each running step is left."""

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, field, replace
-from itertools import chain, combinations, product
+from itertools import chain, combinations
 from math import comb, inf
 
 from rosa_pddl.domain import (
@@ -72,17 +72,19 @@ class Planner:
         overlapping: bool = False,
         moves: int = 20_000,
     ) -> None:
-        self.engine = engine or (KAIROS if overlapping else OPTIMAL)
+        if engine is None:
+            engine = KAIROS if overlapping else OPTIMAL
+        self.engine = engine
         self.timeout_s = timeout_s
         self.overlapping = overlapping
         self.moves = moves
-        wrong = check_name(self.engine)
-        if overlapping and self.engine != KAIROS:
+        wrong = check_name(engine)
+        if overlapping and engine != KAIROS:
             wrong = f"{engine} plans one step after the other; overlapping steps are for 'kairos'"
         if wrong is not None:
             raise PlannerSettingError(wrong)
-        if not 0.0 < timeout_s < inf:
-            message = f"timeout_s is {timeout_s:g}, expected more than 0, and finite"
+        if not (isinstance(timeout_s, int | float) and 0.0 < timeout_s < inf):
+            message = f"timeout_s is {timeout_s!r}, expected seconds: more than 0, and finite"
             raise PlannerSettingError(message)
         self.process = EngineProcess()
         self.cancelled = set[threading.Event]()
@@ -118,19 +120,14 @@ class Planner:
             cancelled.set()
         self.process.close()
 
-    def grounded(self, domain: Domain, state: State) -> Grounded | None:
-        """Return the grounded steps, if they are there and cover a state."""
-        task = self._grounded.get(id(domain.cache))
-        return task if task is not None and task.covers(state) else None
-
     def ground(self, domain: Domain, state: State, go_on: Callable[[int], None]) -> Grounded:
         """Return grounded steps that cover a state, made now if need be.
 
         They cover all feasibility facts, and other atoms as soon as a question had them. So what
         they cover depends on the questions before, never on how long anything takes.
         """
-        task = self.grounded(domain, state)
-        if task is None:
+        task = self._grounded.get(id(domain.cache))
+        if task is None or not task.covers(state):
             before = self._grounded.pop(id(domain.cache), None)
             base = state.union(domain.feasibility, before.base if before else ())
             task = Grounded(domain, base, go_on)
@@ -178,15 +175,16 @@ class _Planning:
         timeout_s = self._planner.timeout_s
         began_s = time.monotonic()
         try:
-            if self._may_search:
-                answer = self._try(SEARCH, began_s + timeout_s / 2)
-                if answer is not None:
-                    return self._report(answer, SEARCH)
-            engine = self._main_engine
-            answer = self._try(engine, began_s + timeout_s)
-            if self.cancelled.is_set():  # so the engine was killed while it was asked
-                raise Cancelled
-            return self._report(answer or PlanningResult(Outcome.OUT_OF_TIME), engine)
+            found = self._try(SEARCH, began_s + timeout_s / 2) if self._may_search else None
+            if found is None or found.outcome is Outcome.UNSUPPORTED:
+                # where a number has no value, Kairos leaves out the steps that need it
+                engine = KAIROS if found else self._main_engine
+                answer = self._try(engine, began_s + timeout_s)
+                if self.cancelled.is_set():  # so the engine was killed while it was asked
+                    raise Cancelled
+                if found is None or (answer and answer.outcome.is_solved):
+                    return self._report(answer or PlanningResult(Outcome.OUT_OF_TIME), engine)
+            return self._report(found, SEARCH)
         except Cancelled:
             engine = self._planner.engine
             return PlanningResult(Outcome.ENGINE_CRASHED, (), engine, "the planner was closed")
@@ -221,13 +219,8 @@ class _Planning:
     def _try(self, strategy: str, deadline: float) -> PlanningResult | None:
         """Return the answer of a strategy; None if the search gave up, as engines will do."""
         try:
-            if strategy == SEARCH:
-                task = self._ground(deadline)
-                if len(task.steps) * _MOVES_FOR_AN_OPERATION > self._planner.moves:
-                    return None  # putting numbers into many operations takes longer than an engine
-                answer = self._search(task, self._planner.moves, deadline)
-            else:
-                answer = self._ask(strategy, deadline)
+            is_search = strategy == SEARCH
+            answer = self._search(deadline) if is_search else self._ask(strategy, deadline)
             return self._checked(strategy, answer)
         except Cancelled:
             raise
@@ -281,27 +274,23 @@ class _Planning:
 
     # ------------------------------------------------------------ the search
 
-    def _ground(self, deadline: float) -> Grounded:
-        """Return the grounded actions, made now if need be."""
+    def _search(self, deadline: float) -> PlanningResult:
+        """Search; raise CapReached where an engine is quicker."""
+        moves = self._planner.moves
 
-        def go_on(instances: int) -> None:
-            self._check(deadline)
-            if instances > self._planner.moves:
-                raise CapReached  # an engine is quicker
+        def go_on(instances: int = 0) -> None:
+            if self.cancelled.is_set():
+                raise Cancelled
+            if instances > moves or time.monotonic() > deadline:
+                raise CapReached
 
-        return self._planner.ground(self._domain, self._problem.state, go_on)
-
-    def _search(self, task: Grounded, cap: int, deadline: float) -> PlanningResult:
-        steps = task.plan(self._problem, cap, lambda: self._check(deadline))
+        task = self._planner.ground(self._domain, self._problem.state, go_on)
+        # putting numbers into many operations takes longer than an engine
+        go_on(len(task.steps) * _MOVES_FOR_AN_OPERATION)
+        steps = task.plan(self._problem, moves, go_on)
         if steps is None:
             return PlanningResult(Outcome.UNSOLVABLE_PROVEN)
         return PlanningResult(Outcome.SOLVED_OPTIMALLY, steps)
-
-    def _check(self, deadline: float) -> None:
-        if self.cancelled.is_set():
-            raise Cancelled
-        if time.monotonic() > deadline:
-            raise CapReached
 
     # ------------------------------------------------------------ checks and reports
 
@@ -332,26 +321,28 @@ class _Planning:
             if not domain.only_planned:
                 cost = plan_cost(domain, answer.steps, problem.state, problem.costs)
             return replace(answer, engine=strategy, cost=cost, message="")
-        message = f"{strategy}: {outcome}"
-        is_sequential = not self._planner.overlapping
-        if outcome is Outcome.UNSOLVABLE_PROVEN and is_sequential and _may_have_to_overlap(domain):
-            outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN
-            message = f"{strategy}: {outcome}: there is no plan of one step after the other"
-            message += "; steps may overlap with Planner(overlapping=True)"
-        if outcome.is_trouble:
-            message += f" ({answer.message})"
-        return PlanningResult(outcome, (), strategy, message)
+        note = f" ({answer.message})" if outcome.is_trouble else ""
+        if outcome is Outcome.UNSOLVABLE_PROVEN:
+            if not self._planner.overlapping and _may_have_to_overlap(domain):
+                note = ": there is no plan of one step after the other"
+                note += "; steps may overlap with Planner(overlapping=True)"
+            if 0 in self._problem.weights.values():
+                note = ": there is no plan without the steps that are left out"
+            if note:
+                outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN
+        if outcome is Outcome.OUT_OF_TIME:
+            note += "; another engine may be quicker: 'fast-downward' (any plan) or 'kairos'"
+        return PlanningResult(outcome, (), strategy, f"{strategy}: {outcome}{note}")
 
 
 def _may_have_to_overlap(domain: Domain) -> bool:
     """Whether an action makes something true only while it runs, and another needs that."""
     for schema in domain.schema_of.values():
-        for start, end in product(schema.start_effects, schema.end_effects):
-            is_lent = start.name == end.name and start.terms == end.terms
-            if is_lent and start.kind == "add" and end.kind == "delete":
-                for other in domain.schema_of.values():
-                    if other is not schema and start.name in names_in(other.conditions):
-                        return True
+        ends = {effect.name for effect in schema.end_effects if effect.kind == "delete"}
+        lent = {effect.name for effect in schema.start_effects if effect.kind == "add"} & ends
+        for other in domain.schema_of.values():
+            if other is not schema and not lent.isdisjoint(names_in(other.conditions)):
+                return True
     return False
 
 

@@ -103,7 +103,8 @@ def parse(text: str, file: str) -> Tree:
             line_start = match.start() + token.rindex("\n") + 1
     if len(stack) != 1 or len(stack[0]) != 1 or not isinstance(stack[0][0], tuple):
         message = "unbalanced parentheses, expected one list such as '(predicate object)'"
-        raise PddlError(message, file)
+        stray = next((each for each in stack[0] if isinstance(each, Word)), Word())
+        raise PddlError(message, file, stray.line, stray.column)
     return stack[0][0]
 
 

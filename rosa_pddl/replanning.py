@@ -53,6 +53,7 @@ class Goals:
     def __init__(self, domain: Domain) -> None:
         self._domain = domain
         self._goals: dict[str, Goal] = {}
+        self._gone: dict[str, None] = {}
         self.version = 0
         for text in domain.goals:
             self._goals |= self._read(text)
@@ -110,7 +111,14 @@ class Goals:
         for text, goal in tuple(self._goals.items()):
             if not constants_in(goal.expression) <= domain.types.keys():
                 del self._goals[text]
+                self._gone[text] = None
         self.version += 1
+
+    def told(self, outcome: str) -> str:
+        """Return the words of an outcome, with the goals that are gone since the last one."""
+        gone = ", ".join(self._gone)
+        self._gone.clear()
+        return f"{outcome}; gone with their objects: {gone}" if gone else outcome
 
     def _set(self, goals: dict[str, Goal]) -> None:
         self.version += goals != self._goals
@@ -284,7 +292,7 @@ class PlannerClient:
     def take(self) -> tuple[_Question, PlanningResult]:
         """Return the request and its answer."""
         question = self._question
-        assert question is not None, "nothing was asked; look at has_answer first"
+        assert question is not None
         result = self._answer(question)
         self.give_up()
         return question, result
@@ -310,11 +318,11 @@ class PlannerClient:
         return self.clock() - question.at_s >= (self._delay_s or 0.0) - _CLOCK_RESOLUTION_S
 
     def _answer(self, question: _Question) -> PlanningResult:
-        engine = str(getattr(self._planner, "engine", type(self._planner).__name__))
         try:
             return question.future.result()
         except Exception as error:  # a planner of the user's own may raise anything
             message = f"{type(error).__name__}: {error}"
+            engine = type(self._planner).__name__
             return PlanningResult(Outcome.ENGINE_CRASHED, engine=engine, message=message)
 
 
@@ -363,7 +371,7 @@ def diagnosis(problem: Problem, goals: Sequence[Goal]) -> Diagnosis:
             names = ", ".join(unfeasible.values())
             sentence = f"unfeasible now: {names}; there would be a plan if they were feasible"
             sentences.append(sentence)
-        elif outcome.is_unsolvable:
+        elif outcome is Outcome.UNSOLVABLE_PROVEN:
             sentences.append("there would be no plan even if every action were feasible")
     if problem.until:
         lasting = [f"{atom} for {left_s:.3g} s" for atom, left_s in problem.until.items()]
@@ -496,7 +504,7 @@ class Replanning:
         now_s = self._clock()
         left_s = self._last_asked_s + self._policy.at_most_every_s - now_s
         left_s = max(left_s, self.backoff.wait_s(None))
-        if left_s > 0.0:
+        if left_s > _CLOCK_RESOLUTION_S:
             return f"planning in {left_s:.2g} s: {reason}"
         until = self._monitor.until()
         problem = Problem(
@@ -531,7 +539,16 @@ class Replanning:
         if outcome.is_solved:
             assumed = self._effects.assumptions(result.steps, state)
             result = replace(result, message="; ".join(assumed))
-        self._record(question, result)
+        record = PlanRecord(
+            at_s=question.at_s,
+            reason=question.reason,
+            outcome=outcome,
+            steps=result.steps,
+            engine=result.engine,
+            message=result.message,
+            cause=question.cause,
+        )
+        self.records = record.added_to(self.records)
         if not outcome.is_passing:
             self.backoff.forget(None)
         is_fresh = self._is_same(problem, state)
@@ -548,18 +565,6 @@ class Replanning:
         why = f"no plan: what {result.engine} gave cannot be done event by event: {wrong}"
         self._give_up(replace(problem, state=state), why)
         return None
-
-    def _record(self, question: _Question, result: PlanningResult) -> None:
-        record = PlanRecord(
-            at_s=question.at_s,
-            reason=question.reason,
-            outcome=result.outcome,
-            steps=result.steps,
-            engine=result.engine,
-            message=result.message,
-            cause=question.cause,
-        )
-        self.records = record.added_to(self.records)
 
     def _without_plan(self, question: _Question, result: PlanningResult, state: State) -> None:
         """Start a diagnosis or a retry, or conclude."""
@@ -606,7 +611,7 @@ class Replanning:
                 count = self.backoff.count(step)
                 why += f"; {step} has failed {count} times and is left out for {left_s:.3g} s"
                 until_s = min(until_s, self._clock() + left_s)
-        self._dead_end = _DeadEnd(problem, why, until_s)
+        self._dead_end = _DeadEnd(problem, self._goals.told(why), until_s)
 
     def _diagnose(self, answer: PlanningResult | None, state: State) -> None:
         """Continue the diagnosis or conclude it; if the state has changed meanwhile, replan."""

@@ -278,7 +278,7 @@ class Grounded:
         return GroundStep(step, frozenset(needs), *changed)
 
     def plan(
-        self, problem: Problem, cap: float, go_on: Callable[[], None] = lambda: None
+        self, problem: Problem, cap: float, go_on: Callable[[], None]
     ) -> tuple[Step, ...] | None:
         """Return a plan of least cost; None proves that there is none. Raises as `cheapest`."""
         graph = TaskGraph(self, problem)

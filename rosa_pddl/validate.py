@@ -272,8 +272,8 @@ def replay(
     after the start until just before the end. Of two events at the same time, neither may change
     what the other needs or changes. End conditions of steps that run already are not checked, as
     the world may make them true. `until` gives how long feasibility facts hold [s]: a step that
-    needs one must not end later, by its time in `ends_s` [s], unless an earlier step has made the
-    fact true again.
+    needs one must not end later, by its time in `ends_s` [s], unless a step has made the fact true
+    again, at its start at the latest.
 
     Returns:
         Why the plan cannot be executed, in words, or None; and the true atoms where that ends.
@@ -283,13 +283,13 @@ def replay(
     begun = frozenset(running)
     left = dict(until or {})
     for moment in moments:
+        wrong = _happen(domain, steps, moment, facts, begun, left)
+        if wrong is not None:
+            return wrong, frozenset(facts)
         for number, _ in moment if left else ():
             late = _too_late(domain, steps[number], ends_s[number], left, facts)
             if late is not None:
                 return late, frozenset(facts)
-        wrong = _happen(domain, steps, moment, facts, begun, left)
-        if wrong is not None:
-            return wrong, frozenset(facts)
         for number, is_end in moment:
             if is_end:
                 under_way.remove(number)

@@ -328,7 +328,7 @@ class Task:
         path = cheapest(self, self.start, [inf])
         if path is not None:
             least_j = sum(move.uses[0] for move in path.moves) / 1e3
-            return f"the best way takes {least_j:.6g} J, and no way only {self.energy_j:.6g} J"
+            return f"no way takes at most {self.energy_j:.0f} J; the best takes {least_j:.0f} J"
         reason = f"{goal} cannot be reached from {self.place}"
         corridors = self.building.corridors.values()
         blocked = [part for part in corridors if not self._modes.under(part.light, part.obstacles)]

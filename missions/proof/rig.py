@@ -16,6 +16,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.blackboard import Blackboard
 from py_trees.common import Status
 from py_trees.composites import Selector
+from py_trees.visitors import VisitorBase
 
 from kb import ConfigurationManager, KnowledgeBase, UnknownName
 from missions.engine.components import VERBS
@@ -46,7 +47,7 @@ class Step(NamedTuple):
         return f"{self.change or 'nothing happens'}; {answers or 'no leaf is asked'}"
 
 
-class Rig:
+class Rig(VisitorBase):
     """The parts of a mission in one situation; predicates of users are called with it.
 
     Attributes:
@@ -68,6 +69,7 @@ class Rig:
     """
 
     def __init__(self, setup: Setup) -> None:
+        super().__init__(full=False)
         self.clock = FakeClock()
         self.setup = setup
         self.kb = KnowledgeBase(without_debouncing(setup.model()), clock=self.clock)
@@ -80,6 +82,7 @@ class Rig:
         leaves = [node for node in self.nodes if not node.children]
         self.environment = Environment(self.kb, leaves, setup)
         self.runner = TreeRunner(self.root, clock=self.clock)
+        self.runner.tree.add_visitor(self)
         self.letters: dict[str, str] = {}
         self.ticked: set[Behaviour] = set()
         self.requesting: list[Behaviour] = []
@@ -97,6 +100,9 @@ class Rig:
             if isinstance(node, Timed):
                 self.letters[node.name] = "RS"
                 vars(node)["is_over"] = partial(self._is_over, node)
+
+    def run(self, behaviour: Behaviour) -> None:
+        self.ticked.add(behaviour)
 
     # the answers of leaves
 
@@ -199,7 +205,6 @@ class Rig:
         self.others: list[tuple[Answer, ...]] = []
         self.is_caused = True
         self.runner.tick()
-        self.ticked.update(node for node in self.nodes if node.status is not Status.INVALID)
         instead = self._instead(self.root) if self.root.status is Status.SUCCESS else ""
         self.deeds |= {f"the success of {instead} ends the mission"} if instead else set()
 

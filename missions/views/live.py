@@ -299,6 +299,8 @@ class LiveView(AbstractContextManager["LiveView"]):
         response = connection.respond(200, self._page)
         del response.headers["Content-Type"]
         response.headers.update(_HEADERS)
+        if method == "HEAD":
+            response.body = b""
         return response
 
     async def _attend(self, websocket: "ServerConnection") -> None:

@@ -475,6 +475,10 @@ CORRECT = [
         wrapped(lambda task: Parallel("p", FIRST(), [task, Running("watch")]), explore),
     ),
     Case(
+        "with a part that is stopped in its tick",
+        lambda kb: in_turn(Parallel("p", FIRST(), [Success("s"), Running("r")]), either(kb)),
+    ),
+    Case(
         "steps that need what has failed since",
         lambda kb: in_turn(Act("drive", kb, "drive"), Act("look", kb, "look"), memory=True),
         model=fetching_model,

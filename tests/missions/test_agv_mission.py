@@ -74,7 +74,7 @@ def test_plan_and_architecture_change_together(task):
 @pytest.mark.parametrize(
     ("building", "values", "words"),
     [
-        (straight(), {"capacity_j": 20}, "the best way takes "),
+        (straight(), {"capacity_j": 20}, "no way takes at most "),
         (
             with_dead_end(1.0),
             {"incidents": [Incident("c1", "kinect")]},

@@ -86,7 +86,7 @@ def test_tree_that_plans_tells_its_plans_as_they_are_made(rosa):
     words = " ".join(out.split())
     assert "0.0 s plan (c1: of all ways the best for time" in words
     assert "amcl_kinect fast (the only design that is feasible" in words
-    assert "plan (no way keeps within all limits: energy" in words
+    assert "plan (no way takes at most 1739 J; the best takes 2182 J)" in words
     assert "): none, unsolvable proven (joint plan)" in words
 
 

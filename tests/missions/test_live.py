@@ -9,6 +9,7 @@ import time
 import urllib.error
 import urllib.request
 from contextlib import contextmanager
+from urllib.parse import urlsplit
 
 import pytest
 import websockets
@@ -157,6 +158,15 @@ def test_page_without_leave_may_look_and_do_nothing(view):
 def test_page_answers_only_get_and_head(view):
     codes = [status_of(view.url, method)[0] for method in ("GET", "HEAD", "POST", "DELETE")]
     assert codes == [200, 200, 405, 405]
+
+
+def test_head_is_answered_without_the_page(view):
+    place = urlsplit(view.url)
+    with socket.create_connection((place.hostname, place.port)) as link:
+        link.sendall(f"HEAD / HTTP/1.1\r\nHost: {place.netloc}\r\n\r\n".encode())
+        answer = link.makefile("rb").read()
+    assert answer.startswith(b"HTTP/1.1 200")
+    assert answer.endswith(b"\r\n\r\n")
 
 
 def test_nobody_else_s_page_may_look(view):

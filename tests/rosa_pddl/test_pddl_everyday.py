@@ -89,6 +89,15 @@ def test_executor_drops_the_goal_of_an_object_that_is_gone():
     executor = executed(change=lambda executor: executor.remove_object("t3"))
     assert executor.status is Status.SUCCESS
     assert [goal.text for goal in executor.goals] == ["(seen t1)", "(seen t2)"]
+    assert executor.feedback_message == "the goal holds; gone with their objects: (seen t3)"
+
+
+def test_the_outcome_names_the_goals_that_are_gone_also_without_a_plan():
+    executor = executed(
+        change=lambda executor: executor.remove_object("t3"), fails={"t1"}, policy=None
+    )
+    assert executor.status is Status.FAILURE
+    assert "gone with their objects: (seen t3)" in executor.feedback_message
 
 
 def test_executor_stops_a_step_that_takes_far_too_long():

@@ -1,12 +1,12 @@
 """What the robot keeps between a step that was given up and the next one: what an action requires all along."""
 
 import pytest
-from pddl_world import World, load_text
+from pddl_world import Task, World, load_text
 from py_trees.common import ParallelPolicy, Status
 from py_trees.composites import Parallel
 
 from kb import ConfigurationManager, KnowledgeBase, Model
-from rosa_bt import RosaAction
+from rosa_bt import ForAction, RosaAction
 from rosa_pddl import ReplanningPolicy
 
 DOMAIN = """(define (domain trip) (:requirements :typing :durative-actions)
@@ -143,3 +143,26 @@ def test_action_of_a_step_stays_required_until_the_next_step(extended, keep_requ
         required.update(name for name, view in kb.actions.items() if view.is_required)
     assert required == ({"search_pipeline"} if keep_required else set())
     assert not any(view.is_required for view in kb.actions.values())
+
+
+def asks(step, world):
+    return ForAction(str(step), world.kb, step.action, Task(step, world))
+
+
+@pytest.mark.parametrize("task", [Task, asks])
+@pytest.mark.parametrize("ticks", [4, 8, 60])
+def test_what_the_executor_requires_between_steps_it_cancels_however_it_ends(domain, task, ticks):
+    world = World(domain, kb=known, task=task)
+    world.run(until="drive")
+    world.executor.add_object("dock", "place")
+    world.executor.goals.replace("(at dock)")
+    required = [[]]
+    for _ in range(ticks):
+        if world.tick() is not Status.RUNNING:
+            break
+        doing = [step.arguments[2] for step in world.executor.current_steps]
+        required.append(doing + [action.action for action in world.kb.required_actions])
+    assert ["drive"] in required  # between the steps
+    assert (["dock"] in required) == (task is Task and ticks > 4)
+    world.executor.shutdown()
+    assert not world.kb.required_actions

@@ -27,7 +27,7 @@ def make(domain, kb, behaviours):
 def test_a_missing_behaviour_is_named_at_construction(extended):
     given = dict.fromkeys(["search_pipeline", "inspect_pipelines", "recharge"], Task)
     with pytest.raises(
-        MissingBehaviourError, match=r"'inspect_pipeline'.*given: .*nearest: inspect_pipelines"
+        MissingBehaviourError, match=r"'inspect_pipeline'.*nearest: inspect_pipelines"
     ):
         make(extended, FakeKb(extended.rosa_actions), given)
 

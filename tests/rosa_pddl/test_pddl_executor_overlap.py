@@ -178,6 +178,20 @@ def test_a_step_waits_for_what_is_over_at_once_and_provides_what_it_needs_all_th
     assert plan.startable == (switch_on,)
 
 
+def test_a_step_may_need_what_a_cure_at_its_start_makes_last():
+    lamp = parse_domain(
+        SWITCHED.replace("DURATION", "5"),
+        "(define (problem p) (:domain d) (:init (lit)) (:goal (mended)))",
+    )
+    state = initial_state(lamp)
+    switch = TimedStep(lamp.step("switch_on", ()), 2.0, 0.0)
+    mend = TimedStep(lamp.step("mend", ()), 2.0, 5.0)
+    assert flaw(lamp, [switch, mend], state, until={"(lit)": 1.0}) is None
+    assert "too late by 6 s" in flaw(lamp, [mend], state, until={"(lit)": 1.0})
+    later = switch._replace(start_s=3.0)
+    assert "too late by 6 s" in flaw(lamp, [mend, later], state, until={"(lit)": 1.0})
+
+
 def test_that_there_is_no_plan_without_overlapping_is_no_proof_and_says_what_would_do(cellar):
     result = Planner().plan(Problem(cellar, initial_state(cellar)))
     assert result.outcome is Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN

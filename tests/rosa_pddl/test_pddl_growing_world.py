@@ -4,10 +4,10 @@ import gc
 import weakref
 
 import pytest
-from pddl_world import World
+from pddl_world import FakeKb, World
 from py_trees.common import Status
 
-from rosa_pddl import Planner, Problem, UnknownNameError, initial_state, parse_domain
+from rosa_pddl import PddlError, Planner, Problem, UnknownNameError, initial_state, parse_domain
 from rosa_pddl.domain import with_object
 
 DOMAIN = """(define (domain rocks) (:types action place sample - object)
@@ -118,9 +118,9 @@ def test_what_cannot_come_or_go_is_refused_by_name_and_nothing_changes(rocks):
         ("sample_1", "sample", "a name that no object has"),
         ("sample 2", "sample", "a name that no object has"),
         ("sample_2", "smple", "no type 'smple'.*nearest: sample"),
-        ("fly", "action", "would be a ROSA action"),
+        ("fly", "action", "does not know the action 'fly'"),
     ):
-        with pytest.raises(UnknownNameError, match=words):
+        with pytest.raises((UnknownNameError, PddlError), match=words):
             world.executor.add_object(name, kind)
     with pytest.raises(UnknownNameError, match="no object 'sample_3'"):
         world.executor.remove_object("sample_3")
@@ -128,6 +128,20 @@ def test_what_cannot_come_or_go_is_refused_by_name_and_nothing_changes(rocks):
         world.executor.remove_object("drive")
     assert world.executor.objects("place") == ("base", "crater")
     assert world.run() is Status.SUCCESS
+
+
+def test_a_domain_without_a_problem_gets_all_from_python():
+    world = World(parse_domain(DOMAIN), kb=lambda _: FakeKb(["drive"]))
+    executor = world.executor
+    world.facts = {"(drive_action drive)": True, "(at base)": True}
+    for name, kind in (("drive", "action"), ("base", "place"), ("crater", "place")):
+        executor.add_object(name, kind)
+    assert executor.findings == ()
+    executor.goals.add("(at crater)")
+    assert world.run(until="drive") is Status.RUNNING
+    world.facts = {}
+    assert world.run() is Status.SUCCESS
+    assert executor.holds("(at crater)")
 
 
 TANKS = (

@@ -131,9 +131,50 @@ def test_an_engine_that_is_not_installed_is_named_with_what_to_install(extended,
     assert Planner().missing() in result.message
 
 
-def test_planner_of_an_unknown_engine_names_the_nearest():
-    with pytest.raises(PlannerSettingError, match="nearest: fast-downward"):
-        Planner("fast-downwards")
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"engine": "fast-downwards"}, "nearest: fast-downward"),
+        ({"engine": "lama"}, "such as fast-downward-opt, fast-downward and kairos"),
+        ({"engine": ""}, "no planning engine ''"),
+        ({"engine": 3}, "no planning engine 3"),
+        ({"timeout_s": "x"}, "timeout_s is 'x', expected seconds"),
+    ],
+)
+def test_a_setting_that_makes_no_sense_is_refused_with_what_would_do(settings, words):
+    with pytest.raises(PlannerSettingError, match=words):
+        Planner(**settings)
+
+
+def test_an_engine_that_needs_more_time_is_told_with_others_to_try(extended):
+    result = Planner(timeout_s=1e-6, moves=0).plan(problem_of(extended))
+    assert result.outcome is Outcome.OUT_OF_TIME
+    assert "another engine may be quicker: 'fast-downward'" in result.message
+
+
+@pytest.mark.parametrize(("goal", "cost"), [("c", 5.0), ("a", None)])
+def test_steps_whose_cost_has_no_value_are_left_to_kairos(goal, cost):
+    domain = """(define (domain shop) (:types place)
+      (:predicates (at ?p - place) (been ?p - place)) (:functions (total-cost) (toll ?a ?b - place))
+      (:action go :parameters (?a ?b - place) :precondition (at ?a)
+        :effect (and (not (at ?a)) (at ?b) (been ?b) (increase (total-cost) (toll ?a ?b)))))"""
+    problem = f"""(define (problem p) (:domain shop) (:objects a b c - place)
+      (:init (at a) (= (toll a b) 2) (= (toll b c) 3)) (:goal (been {goal}))
+      (:metric minimize (total-cost)))"""
+    result = Planner().plan(problem_of(parse_domain(domain, problem)))
+    assert (result.cost, result.outcome.is_solved) == (cost, cost is not None)
+    assert cost or "(toll a a) is needed but has no value" in result.message
+
+
+def test_what_is_only_left_out_is_no_proof():
+    domain = parse_domain(
+        "(define (domain d) (:predicates (lit)) (:action light :effect (lit)))",
+        "(define (problem p) (:domain d) (:init) (:goal (lit)))",
+    )
+    problem = Problem(domain, frozenset(), weights={domain.step("light", ()): 0})
+    result = Planner().plan(problem)
+    assert result.outcome is Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN
+    assert "without the steps that are left out" in result.message
 
 
 def program(tmp_path, script):
