@@ -9,6 +9,7 @@ from enum import StrEnum
 from threading import Condition, Lock
 from typing import Any, Final, NamedTuple, Self
 
+from kb.exceptions import InvalidValue
 from kb.records import Log, ReconfigurationPlan
 from kb.status import Status
 
@@ -196,6 +197,8 @@ class Publisher:
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
         """Call a function with every event from now on; returns how to stop that."""
+        if not callable(callback):
+            raise InvalidValue(f"a subscriber is called with each event; {callback!r} cannot be")
         subscriber = _Subscriber(callback, self._log.last)
         self.subscribers.append(subscriber)
 

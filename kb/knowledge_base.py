@@ -31,6 +31,7 @@ from kb.elements import (
     status_of,
     table,
     weights,
+    whole,
 )
 from kb.events import RECORDS, Event, Publisher, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
@@ -185,6 +186,7 @@ class KnowledgeBase:
             raise InvalidValue(f"a knowledge base is made of a kb.Model, not of {model!r}")
         if not callable(clock):
             raise InvalidValue(f"clock is a function that returns the time [s], not {clock!r}")
+        whole("the number of measurements to keep", keep)
         model.settle()
         self.model = model
         self._clock = clock

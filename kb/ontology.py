@@ -352,7 +352,7 @@ def load_owl(cls: "Callable[[str], ModelT]", paths: Sequence[Path]) -> "ModelT":
             names = [each.rosa_name for each in reader.rosa.RobotModel.instances()]
             model = cls([*names, paths[0].stem][0])
             reader.declare(model)
-        except KnowledgeBaseError as error:
+        except (KnowledgeBaseError, ValueError) as error:
             raise ModelFileError(str(error), ", ".join(map(str, paths))) from None
         return model
 
@@ -373,7 +373,7 @@ class _Reader(_Graph):
             raise ModelFileError(f"nothing in it is described in the words of {ROSA}", str(path))
         ontology = self.world.get_ontology(f"{BASE}file{len(self.world.ontologies)}#")
         try:
-            expat.ParserCreate().Parse(text, True)  # says what is wrong
+            expat.ParserCreate(namespace_separator=" ").Parse(text, True)  # says what is wrong
             ontology.graph.parse(BytesIO(text.encode()), format="rdfxml", default_base=BASE)
         except (expat.ExpatError, owlready2.OwlReadyOntologyParsingError) as error:
             raise ModelFileError(f"this is not RDF/XML: {error}", str(path)) from None

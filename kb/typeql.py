@@ -145,9 +145,8 @@ class _Builder:
 
         def resolve(variable: Token) -> Thing:
             if variable not in variables:
-                unknown = UnknownName(
-                    "variable", str(variable), [key for key in variables if isinstance(key, str)]
-                )
+                known = [str(key) for key in variables if isinstance(key, str)]
+                unknown = UnknownName("variable", str(variable), known)
                 what = f"{unknown}; a type is given by `{variable} isa ...`"
                 raise _place(file, variable).error(what)
             return variables[variable]

@@ -25,6 +25,13 @@ def status(kb):
     return kb.configurations["day"].constraints[0].status
 
 
+def test_measurements_that_vote_are_kept_though_fewer_are_to_be():
+    kb = KnowledgeBase(rover(agreement=(2, 3)), clock=Clock(0.0), keep=1)
+    kb.measure("light", 0.1)
+    kb.measure("light", 0.1)
+    assert status(kb) is Status.VIOLATED
+
+
 @given(
     st.lists(st.tuples(st.floats(0.0, 2.0), st.floats(0.0, 1.0)), min_size=2, max_size=60),
     st.floats(0.5, 5.0),

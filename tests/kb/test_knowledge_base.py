@@ -259,6 +259,17 @@ def test_asserted_status_is_one_of_the_elements_kind(kb, element, status, words)
         kb.assert_status(element, status)
 
 
+@pytest.mark.parametrize("keep", [-1, 0, 2.5, "all"])
+def test_base_is_made_only_with_a_number_of_measurements_to_keep(keep):
+    with pytest.raises(InvalidValue, match="measurements to keep is a whole number from 1"):
+        KnowledgeBase(Model("rover"), keep=keep)
+
+
+def test_subscriber_that_cannot_be_called_is_refused(kb):
+    with pytest.raises(InvalidValue, match="5 cannot be"):
+        kb.subscribe(5)
+
+
 def test_ambiguous_name_is_refused_where_something_would_change():
     model = Model("recharge")
     part = model.component("recharge")

@@ -132,6 +132,8 @@ TYPE = f'<rdf:type rdf:resource="{ROSA}'
         ("", "nothing in it is described in the words"),
         (f"insert {ROSA}", "this is not RDF/XML: syntax error: line 1"),
         (f"{HEAD}\n<Action>\n</Function></rdf:RDF>", "not RDF/XML: mismatched tag: line 3"),
+        (f"{HEAD}\n<odd:Action/></rdf:RDF>", "not RDF/XML: unbound prefix: line 2"),
+        (NAMED.format('<position rdf:datatype="http://x#odd">0</position>'), "literal of datatype"),
         (NAMED.format("<priorty>1</priorty>"), "unknown word of ROSA 'priorty'; did you mean"),
         (NAMED.format('<requires rdf:resource="http://x#b"/>'), "unknown individual 'http"),
         (NAMED.replace("Action", "Acton"), "unknown word of ROSA 'Acton'"),

@@ -83,6 +83,7 @@ MEANING = [
         "6:32: unknown estimation kind 'plus'; known: 'positive', 'negative', 'absolute'",
     ),
     ("(measured-attribute: $q) isa measurement;", "6:30: this measurement is not complete"),
+    ("$unheard has priority 1;", r"6:1: unknown variable '\$unheard'; known: '\$"),
     (
         "match $x isa Component, has component-name 'moter'; insert $x has is-active true;",
         "6:14: `match` finds nothing: unknown component 'moter'; did you mean 'motor'",
