@@ -121,10 +121,10 @@ def _promised_twice(domain: Domain, model: Model) -> Iterator[Finding]:
     changed = {effect.name for effect in effects}
     promises = defaultdict[str, dict[str, bool]](dict)
     for schema in domain.schema_of.values():
-        curing = [name for name in domain.rosa_actions if domain.may_do(schema, name)]
-        says = {
-            name: bool(model.actions[name].restores) for name in curing if name in model.actions
-        }
+        curing = [name for name in model.actions if domain.may_do(schema, name)]
+        if len(curing) == len(model.actions):
+            curing = []  # nothing says which ones do it
+        says = {name: bool(model.actions[name].restores) for name in curing}
         for effect in schema.effects:
             if effect.kind != "add" or not domain.is_feasibility(f"({effect.name})"):
                 continue
