@@ -268,7 +268,12 @@ class _Builder:
         count = len(element)
         least, most = entry.arity if entry else (0, 0)
         if not least <= count <= most:
-            raise element.error(f"children of <{tag}>: {count}; it takes {least} to {most}")
+            takes = f"{least} to {most}"
+            if most == inf:
+                takes = f"at least {least}"
+            elif least == most:
+                takes = str(least)
+            raise element.error(f"children of <{tag}>: {count}; it takes {takes}")
         if entry is None:
             return self._subtree(element, board)
         name = element.get("name") or tag
