@@ -352,7 +352,7 @@ class ExpectedEffects:
     def assumptions(self, steps: Iterable[Step], state: State) -> tuple[str, ...]:
         """Return what a plan assumes about what makes actions feasible, in sentences.
 
-        Nothing is assumed about an action whose model says what it restores.
+        Nothing is assumed about an action whose model says what it restores, if the cause is known.
         """
         domain = self._domain
         sentences = dict[str, None]()
@@ -365,8 +365,10 @@ class ExpectedEffects:
             if model is not None and step.action is not None:
                 restores = model.actions[step.action].restores
             for atom in sorted((added - state) & feasibility.keys()):
-                if not restores:
-                    why = why_of(self._kb, feasibility[atom])
+                cured = feasibility[atom]
+                is_supposed = self._kb.is_feasible(cured)  # unfeasible for no known cause
+                if is_supposed or not restores:
+                    why = f"{cured} is unfeasible" if is_supposed else why_of(self._kb, cured)
                     sentences[f"assumes that {step.schema} cures: {why}"] = None
             state = ended(domain, step, started(domain, step, state))
         return tuple(sentences)

@@ -174,8 +174,8 @@ def check_name(engine: str) -> str | None:
     names = [*DOWNWARD, KAIROS, *DEFAULT_ENGINES]
     if engine in names:
         return None
-    known = "such as fast-downward-opt, fast-downward and kairos"
-    return f"there is no planning engine {engine!r}, {known}; {nearest(str(engine), names)}"
+    ours = "ours are fast-downward-opt, fast-downward and kairos"
+    return f"there is no planning engine {engine!r}; {ours}; {nearest(str(engine), names)}"
 
 
 def missing_package(engine: str) -> str | None:

@@ -12,7 +12,7 @@ from rich.markup import escape
 from typer import Argument, Exit, Option, echo
 
 from kb import KnowledgeBase, Model
-from kb.checks import Finding, finding_of, rules
+from kb.checks import Finding, finding_of, listing, rules
 from kb.files import read_text
 from missions import SUMMARIES
 from missions.commands import FAILED, Text, Texts, complain, open_console, tree_builder
@@ -21,7 +21,7 @@ from missions.engine.task_layer import mission_domain
 from missions.views.output import as_json
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_pddl import load_domain
-from rosa_pddl.domain import Domain
+from rosa_pddl.domain import Domain, conjuncts
 from rosa_pddl.executor import check_behaviours
 
 COLOURS: Final = {"error": "red", "warning": "yellow"}
@@ -101,6 +101,7 @@ def judge(
     for domain in domains:
         for name in domain.rosa_actions:
             places[name].append(_place(domain, name))
+    findings += [finding for domain in domains for finding in _promised_twice(domain, model)]
     is_complete = places.pop("", None) is None  # a tree may get any action later
     of_model = list(_placed(model.check(places), places, is_complete))
     codes = {finding.code for finding in of_model}
@@ -112,6 +113,33 @@ def judge(
             if not any(name in note for name in names):  # else another finding says it
                 findings.append(finding_of("file-note", f"mission {mission.name}", note))
     return [*of_model, *findings]
+
+
+def _promised_twice(domain: Domain, model: Model) -> Iterator[Finding]:
+    """Yield the actions that several others make feasible, if the model does not say what of."""
+    effects = [effect for schema in domain.schema_of.values() for effect in schema.effects]
+    changed = {effect.name for effect in effects}
+    promises = defaultdict[str, dict[str, bool]](dict)
+    for schema in domain.schema_of.values():
+        curing = [name for name in model.actions if domain.may_do(schema, name)]
+        if len(curing) == len(model.actions):
+            curing = []  # nothing says which ones do it
+        says = {name: bool(model.actions[name].restores) for name in curing}
+        for effect in schema.effects:
+            if effect.kind != "add" or not domain.is_feasibility(f"({effect.name})"):
+                continue
+            (term,) = effect.terms
+            needed = [part[1] for part in conjuncts(schema.conditions) if part[2:] == ((term,),)]
+            kinds = set(needed) - changed  # what kind of action it is, such as `scan_action`
+            for action in domain.rosa_actions if term.startswith("?") else [term]:
+                if all(f"({kind} {action})" in domain.facts for kind in kinds):
+                    promises[action] |= says or {schema.name: False}
+    for action, says in promises.items():
+        silent = [name for name, is_said in says.items() if not is_said]
+        if len(says) > 1 and silent:
+            message = f"action {action} is made feasible by {listing(says)}"
+            unsaid = f"the model does not say what {listing(silent)} can restore"
+            yield finding_of("restored-twice", f"action {action}", f"{message}; {unsaid}")
 
 
 class _Tolerant(KnowledgeBase):

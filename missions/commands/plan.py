@@ -42,7 +42,10 @@ def plan(
         bool, Option("--certificate", help="Plan for each combination of actions.")
     ] = False,
     failures: Annotated[
-        int | None, Option(help="Certify at most so many failures at once.")
+        int | None, Option(min=0, help="Certify at most so many failures at once.")
+    ] = None,
+    engine: Annotated[
+        Text, Option(help="Plan with fast-downward-opt, fast-downward, kairos or another engine.")
     ] = None,
     timeout: Annotated[float, Option(help="Seconds after which planning is given up.")] = 30.0,
 ) -> None:
@@ -62,6 +65,7 @@ def plan(
         model or [],
         situation=situation or [],
         goals=goal or [],
+        engine=engine,
     )
     outputs = open_files({"json": json, "svg": svg})
     if certificate:

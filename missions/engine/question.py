@@ -88,6 +88,7 @@ def ask(
     *,
     situation: Iterable[str] = (),
     goals: Sequence[str] = (),
+    engine: str | None = None,
 ) -> Question:
     """Build a question from a domain and a problem file, or from a mission, which has a model.
 
@@ -100,6 +101,7 @@ def ask(
         situation: assumed facts, such as "battery_level=0.2", or "camera=failed" for a component;
             also several, separated by commas.
         goals: conditions as text, which replace the goal of the problem.
+        engine: name of the planning engine; None for that of the mission, or else the default.
 
     Raises:
         MissionError, KnowledgeBaseError, RosaPddlError: something is missing, unknown or cannot be
@@ -134,7 +136,7 @@ def ask(
         tuple(condition for text in texts for condition in conditions(domain, text)),
         oversights,
         {text: value for text, value in facts.items() if not isinstance(value, bool)},
-        mission.engine if mission else None,
+        mission.engine if mission and engine is None else engine,
         partial(mission.why_not, kb, percepts) if mission and not goals else str,
     )
 
@@ -169,7 +171,7 @@ def _as_stated(domain: Domain) -> KnowledgeBase:
 
 
 def answer(question: Question, timeout_s: float) -> Answer:
-    """Plan with the engine of the mission, or else as `Planner()`; find out why there is no plan.
+    """Plan with the engine that is asked for, or `Planner()`; find out why there is no plan.
 
     Each planning may take `timeout_s` of wall clock time [s].
     """
@@ -194,6 +196,9 @@ def certified(question: Question, timeout_s: float, failures: int | None) -> Cer
     """
     with closing(Planner(question.engine, timeout_s)) as planner:
         table = certificate(question.domain, question.problem_without, planner, failures)
+        entries = dict[tuple[str, ...], PlanningResult]()
+        for out, result in table.entries.items():
+            entries[out] = _with_assumptions(question, result, question.problem_without(out))
         causes = dict[str, PlanningResult]()
         for component in question.kb.model.components:
             kb = KnowledgeBase(question.kb.model, clock=lambda: 0.0)
@@ -201,13 +206,17 @@ def certified(question: Question, timeout_s: float, failures: int | None) -> Cer
             failing = replace(question, kb=kb)
             if failing.unfeasible:
                 causes[f"{component} fails"] = _plan(failing, planner)
-    return replace(table, causes=causes)
+    return replace(table, entries=entries, causes=causes)
 
 
 def _plan(question: Question, planner: Planner) -> PlanningResult:
     """Plan without promises that cannot be kept, with what the plan assumes."""
-    result = planner.plan(question.problem)
-    state = question.problem.state
+    problem = question.problem
+    return _with_assumptions(question, planner.plan(problem), problem)
+
+
+def _with_assumptions(
+    question: Question, result: PlanningResult, problem: Problem
+) -> PlanningResult:
     effects = ExpectedEffects(question.domain, question.kb)
-    sentences = effects.assumptions(result.steps, state)
-    return replace(result, assumptions=sentences)
+    return replace(result, assumptions=effects.assumptions(result.steps, problem.state))

@@ -88,10 +88,16 @@ def certificate_lines(certificate: Certificate) -> Iterator[str]:
         rows.append((", ".join(out) or "none", cost, found))
     widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
     yield from (f"{out:<{widths[0]}}  {cost:>{widths[1]}}  {plan}" for out, cost, plan in rows)
-    for cause, result in certificate.causes.items():
+    by_action = [(", ".join(out) or "none", each) for out, each in certificate.entries.items()]
+    for failure, result in [*by_action, *certificate.causes.items()]:
         if result.assumptions:
-            yield f"{cause}: {'; '.join(result.assumptions)}"
-    yield f"single failures that end the mission: {', '.join(certificate.fatal) or 'none'}"
+            yield f"{failure}: {'; '.join(result.assumptions)}"
+    alone = [result for out, result in certificate.entries.items() if len(out) < 2]
+    fatal = ", ".join(certificate.fatal)
+    if any(result.assumptions for result in [*alone, *certificate.causes.values()]):
+        others = f"{fatal}; no others" if fatal else "none"
+        fatal = f"{others}, if what is assumed above holds"
+    yield f"single failures that end the mission: {fatal or 'none'}"
 
 
 def certificate_as_data(certificate: Certificate) -> dict[str, object]:

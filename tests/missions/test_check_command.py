@@ -253,3 +253,38 @@ def test_reasoning_without_java_says_what_to_install(rosa, monkeypatch, tmp_path
     code, _, err = rosa("explorer.tql --reason")
     assert code == 2
     assert "needs a Java runtime" in err
+
+
+CURES = """(define (domain spraying) (:requirements :typing) (:types action)
+  (:predicates (action_feasible ?a - action) (spray_action ?a - action) (sprayed)
+    (refill_action ?a - action) (swap_action ?a - action))
+  (:action spray :parameters (?a - action)
+    :precondition (and (spray_action ?a) (action_feasible ?a)) :effect (sprayed))
+  (:action refill :parameters (?a ?b - action)
+    :precondition (and (refill_action ?a) (spray_action ?b)) :effect (action_feasible ?b))
+  (:action swap :parameters (?a ?b - action)
+    :precondition (and (swap_action ?a) (spray_action ?b)) :effect (action_feasible ?b)))"""
+SPRAY = """(define (problem p) (:domain spraying) (:objects spray refill swap - action)
+  (:init (spray_action spray) (refill_action refill) (swap_action swap)) (:goal (sprayed)))"""
+
+
+@pytest.mark.parametrize(
+    ("said", "silent"), [("", "refill and swap"), ("refill", "swap"), ("refill swap", "")]
+)
+def test_two_actions_that_promise_the_same_are_named_unless_the_model_says_what_they_cure(
+    rosa, tmp_path, said, silent
+):
+    model = Model("orchard")
+    cured = {"refill": model.quality_attribute("tank"), "swap": model.component("boom")}
+    model.action("spray", constraints=[cured["refill"] >= 0.2])
+    for name, what in cured.items():
+        model.action(name, restores=[what] if name in said.split() else [])
+    model.save("orchard.owl")
+    (tmp_path / "cures.pddl").write_text(CURES)
+    (tmp_path / "spray.pddl").write_text(SPRAY)
+    code, out, err = rosa("orchard.owl --pddl cures.pddl --pddl spray.pddl")
+    assert (code, err) == (0, "")
+    found = [line.strip() for line in out.splitlines() if "action spray is made" in line]
+    words = f"the model does not say what {silent} can restore"
+    expected = f"action spray is made feasible by refill and swap; {words}"
+    assert found == ([expected] if silent else [])

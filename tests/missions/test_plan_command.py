@@ -184,10 +184,11 @@ def test_without_a_plan_only_the_json_is_written(rosa, tmp_path):
             "of other types than (pipeline_found",
         ),
         ("--mission suave --goal ' '", "--goal is empty; give a condition such as '(found it)'"),
-        ("--mission suave --timeout 0", "timeout_s is 0, expected more than 0"),
+        ("--mission suave --timeout 0", "timeout_s is 0.0, expected seconds: more than 0"),
         ("--mission suave --svg .", "it is a directory; name a file in it"),
         ("--mission suave --certificate --svg x.svg", "--svg draws one"),
         ("--mission suave --failures 1", "add --certificate"),
+        ("--mission suave --engine kayros", "no planning engine 'kayros'"),
     ],
 )
 def test_wrong_use_is_one_clear_message_and_exits_2(rosa, tmp_path, question, message):
@@ -213,11 +214,24 @@ def test_certificate_has_a_plan_for_every_combination(rosa):
     for entry in certificate["entries"]:
         steps = plans[frozenset(actions.difference(entry["unfeasible"]))] or ()
         assert [step["action"] for step in entry["steps"]] == [step.schema for step in steps]
-    assert len(lines) == 10
     assert lines[0].split() == ["unfeasible", "cost", "plan"]
     fatal = ["spiral_search fails", "follow_pipeline fails"]  # recharging does not mend them
-    assert lines[-1] == f"single failures that end the mission: {', '.join(fatal)}"
+    found = f"{', '.join(fatal)}; no others, if what is assumed above holds"
+    assert lines[-1] == f"single failures that end the mission: {found}"
     assert certificate["fatal"] == fatal
+    (assumed,) = certificate["entries"][1]["assumptions"]
+    assert assumed == "assumes that recharge cures: search_pipeline is unfeasible"
+    assert f"search_pipeline: {assumed}" in lines[9:]
+
+
+def test_engine_is_the_one_that_is_named(rosa):
+    code, lines, _ = rosa("--mission suave --engine kairos")
+    assert (code, lines[0]) == (0, "solved optimally by kairos: 2 steps, cost 2")
+
+
+def test_failures_may_not_be_less_than_none(rosa):
+    code, _, err = rosa("--mission suave --certificate --failures -1")
+    assert (code, "greater than or equal to 0" in err) == (2, True)
 
 
 def test_failure_that_ends_the_mission_is_named(rosa):

@@ -135,7 +135,7 @@ def test_an_engine_that_is_not_installed_is_named_with_what_to_install(extended,
     ("settings", "words"),
     [
         ({"engine": "fast-downwards"}, "nearest: fast-downward"),
-        ({"engine": "lama"}, "such as fast-downward-opt, fast-downward and kairos"),
+        ({"engine": "lama"}, "ours are fast-downward-opt, fast-downward and kairos"),
         ({"engine": ""}, "no planning engine ''"),
         ({"engine": 3}, "no planning engine 3"),
         ({"timeout_s": "x"}, "timeout_s is 'x', expected seconds"),
