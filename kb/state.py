@@ -127,7 +127,7 @@ class State:
         """Restore what `facts` returned."""
         vars(self).update(facts)
         for node, measurements in self.histories.items():
-            self.histories[node] = self._history(node, measurements)
+            self.histories[node] = deque(measurements, self._room(node))
 
     # ---------------------------------------------------------------- asked
 
@@ -294,15 +294,13 @@ class State:
         """Add a measurement to the history only."""
         history = self.histories.get(node)
         if history is None:
-            history = self.histories[node] = self._history(node)
+            history = self.histories[node] = deque(maxlen=self._room(node))
         if not history or history[-1][2] < number:
             history.append((time, value, number))
 
-    def _history(
-        self, node: Node, measurements: Iterable[tuple[float, float, int]] = ()
-    ) -> deque[tuple[float, float, int]]:
-        """Return a history with room for all that vote on a change, however few are kept."""
-        return deque(measurements, max(self.keep, node.attribute.agreement[1]))
+    def _room(self, node: Node) -> int:
+        """Return how many measurements to hold: all that vote on a change, however few are kept."""
+        return max(self.keep, node.attribute.agreement[1])
 
     def assert_status(
         self, node: Node, status: Status | None, reason: str = "", until: float | None = None

@@ -40,7 +40,7 @@ REFUSED = {
     "<Inverter><a/><b/></Inverter>": "children of <Inverter>: 2; it takes 1",
     "<Sequence/>": "children of <Sequence>: 0; it takes at least 1",
     "<IfThenElse><a/></IfThenElse>": "children of <IfThenElse>: 1; it takes 2 to 3",
-    "<a><b/></a>": "children of <a>: 1; it takes 0 to 0",
+    "<a><b/></a>": "children of <a>: 1; it takes 0",
     "<SubTree ID='Othr'/>": "no tree has the ID 'Othr'; did you mean 'Other'?",
     "<SubTree/>": "<SubTree> has no ID",
     "<Action/>": "<Action> has no ID",
