@@ -7,7 +7,7 @@ from py_trees.composites import Parallel
 
 from kb import ConfigurationManager, KnowledgeBase, Model
 from rosa_bt import ForAction, RosaAction
-from rosa_pddl import ReplanningPolicy
+from rosa_pddl import PddlError, ReplanningPolicy, parse_domain
 
 DOMAIN = """(define (domain trip) (:requirements :typing :durative-actions)
   (:types action place)
@@ -166,3 +166,21 @@ def test_what_the_executor_requires_between_steps_it_cancels_however_it_ends(dom
     assert (["dock"] in required) == (task is Task and ticks > 4)
     world.executor.shutdown()
     assert not world.kb.required_actions
+
+
+def test_no_tick_is_lost_to_a_rounding_error(domain):
+    world = World(domain)
+    world.tick_number = 1  # 0.1 + 0.2 is a little more than 0.3
+    world.tick()
+    world.tick()
+    world.executor.goals.replace("(at home)", "(at goal)")
+    world.tick()
+    assert world.executor.feedback_message == "planning: the goals changed"
+
+
+def test_a_parenthesis_too_many_has_its_place(domain):
+    executor = World(domain).executor
+    with pytest.raises(PddlError, match=r":1:10: unbalanced parentheses"):
+        executor.goals.add("(at goal))")
+    with pytest.raises(PddlError, match=r"domain.pddl:8:66: unbalanced parentheses"):
+        parse_domain(DOMAIN.rstrip() + ")")
