@@ -227,7 +227,7 @@ def test_replay_needs_no_simulator():
     [
         ([measured(2.0), measured(1.0)], "suave", None, "message 2: time 1.0 comes after 2.0"),
         (ENERGY_DROP, "suaf", None, "unknown mission 'suaf'; there are suave, suave_extended"),
-        (ENERGY_DROP, rover_model(), "rover_tree", "expected is a function"),
+        (ENERGY_DROP, rover_model(), "rover_tree", "give a function of these parameters"),
         (ENERGY_DROP, rover_model(), lambda kb, percepts: None, "is None, not a py_trees"),
         (ENERGY_DROP, rover_model, None, "nothing here decides"),
         (ENERGY_DROP, 3, rover_tree, "nothing here decides; write replay"),
