@@ -227,7 +227,9 @@ class Mission:
                     signature(function).bind(*parameters.split())
             except TypeError as error:
                 title = f"{name} of mission {self.name} is called with ({parameters})"
-                raise MissionError(f"{title}: {error}; give a function of these parameters") from error
+                raise MissionError(
+                    f"{title}: {error}; give a function of these parameters"
+                ) from error
 
 
 # ---------------------------------------------------------------- an author's code
