@@ -3,12 +3,13 @@
 It shows the last row of each track and key, as the page does.
 """
 
+import sys
 from collections.abc import Iterator
 from itertools import islice
 from operator import itemgetter
 from typing import Any, ClassVar, Final
 
-from missions.engine.mission import needs
+from missions.engine.mission import MissionError, needs
 from missions.views.live import Steering
 from missions.views.recorder import Recorder
 from missions.views.report import LOGGED, Rows
@@ -128,6 +129,12 @@ class TerminalView(App[None]):
         self._steering = steering
         self._shown = {name: Static(id=name) for name in self.PANES}
         self._filter = Input(placeholder="words that an entry must have", classes="hidden")
+
+    def run(self, *arguments: Any, **options: Any) -> None:  # noqa: ANN401  # as in its base
+        """Show the view until it is left; MissionError if there is no terminal."""
+        if not (sys.stdin.isatty() and sys.stdout.isatty()):
+            raise MissionError("--tui shows a run in a terminal, and here is none; use --live")
+        super().run(*arguments, **options)
 
     def compose(self) -> ComposeResult:
         yield Header()

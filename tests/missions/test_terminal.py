@@ -83,6 +83,11 @@ def test_program_that_is_to_end_does_not_wait_for_the_run_that_it_shows(monkeypa
     assert time.monotonic() - start < 15.0
 
 
+def test_view_without_a_terminal_is_refused():
+    done = CliRunner().invoke(cli.app, ["run", "suave", "--tui", "--set", "duration_s=1"])
+    assert "a run in a terminal, and here is none" in str(done.exception)
+
+
 def test_log_shows_what_happened_and_only_what_is_filtered(recorder):
     everything = shown(recorder)[0]["log"].splitlines()
     errors = shown(recorder, "error thruster")[0]["log"].splitlines()
