@@ -238,8 +238,8 @@ class RosComponents:
             return
         try:
             state = poll.result()["current_state"]["id"]
-        except RosError as error:
-            self._lose(component, watch, str(error))
+        except (RosError, KeyError) as error:
+            self._lose(component, watch, f"{watch.place} gives no state: {error}")
             return
         was_active = watch.state == _ACTIVE
         watch.state = state
