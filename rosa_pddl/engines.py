@@ -135,12 +135,12 @@ def _answer(
         process.stdin.write(question)
         process.stdin.flush()
     while not line.endswith(b"\n"):
-        left_s = deadline + _GRACE_S - time.monotonic()
         if cancelled.is_set():
             raise Cancelled
-        if left_s <= 0.0:
-            message = "no answer in time; allow more time or ask for less"
-            raise PlanningFailed(Outcome.OUT_OF_TIME, message)
+        if time.monotonic() > deadline + _GRACE_S:
+            raise PlanningFailed(
+                Outcome.OUT_OF_TIME, "no answer in time; allow more time or ask for less"
+            )
         if select.select([process.stdout], [], [], _LOOKS_S)[0]:
             read = os.read(process.stdout.fileno(), 1 << 16)
             if not read:

@@ -314,9 +314,9 @@ class _Planning:
 
     def _report(self, answer: PlanningResult, strategy: str) -> PlanningResult:
         domain = self._domain
+        problem = self._problem
         outcome = answer.outcome
         if outcome.is_solved:
-            problem = self._problem
             cost = None
             if not domain.only_planned:
                 cost = plan_cost(domain, answer.steps, problem.state, problem.costs)
@@ -326,7 +326,7 @@ class _Planning:
             if not self._planner.overlapping and _may_have_to_overlap(domain):
                 note = ": there is no plan of one step after the other"
                 note += "; steps may overlap with Planner(overlapping=True)"
-            if 0 in self._problem.weights.values():
+            if 0 in problem.weights.values():
                 note = ": there is no plan without the steps that are left out"
             if note:
                 outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN

@@ -108,6 +108,11 @@ class PlanningResult:
     schedule: tuple[TimedStep, ...] = ()
     assumptions: tuple[str, ...] = ()
 
+    @property
+    def attempts(self) -> tuple[str, ...]:
+        """Who was asked, with the outcome."""
+        return (f"{self.engine}: {self.outcome}",)
+
 
 @dataclass(frozen=True)
 class Problem:
