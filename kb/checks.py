@@ -244,9 +244,14 @@ def _conflict(node: Node) -> str:
 
 def _doubtful_choices(model: Owner, network: Network) -> Iterator[Finding]:
     """Yield ties, and what is never selected."""
+    causers = {network.find(estimation.causer) for estimation in model.estimations}
+
+    def is_estimated(node: Node) -> bool:
+        return node in causers or any(map(is_estimated, node.requires))
+
     for owner in (*network.functions.values(), *network.components.values()):
         yield from _ties(owner)
-        if not model.estimations:  # else a preference may select what priority never would
+        if not any(map(is_estimated, owner.requires)):  # else a preference may select it
             yield from _dominated(owner)
 
 

@@ -93,6 +93,11 @@ def prefer_one_that_is_easier(model):
     model.change("night", priority=4)
 
 
+def prefer_one_beside_an_estimation(model):
+    prefer_one_that_is_easier(model)
+    model.components["lamp"].configuration("bright", {}).estimate(light_of(model), 1.0)
+
+
 def restore_twice(model):
     for name in ("explore_again", "look"):
         model.action(name, requires=["see"], restores=["light"])
@@ -165,6 +170,12 @@ SPECIMENS = [
         "configuration night",
         "whenever it is feasible, so is day, which is preferred",
         prefer_one_that_is_easier,
+    ),
+    (
+        "never-selected",
+        "configuration night",
+        "whenever it is feasible, so is day, which is preferred",
+        prefer_one_beside_an_estimation,
     ),
     (
         "never-selected",
