@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from html import escape
 from types import MappingProxyType
-from typing import Annotated, Any, Final, NamedTuple, TypeGuard, TypeVar, get_type_hints
+from typing import Annotated, Any, Final, NamedTuple, Protocol, TypeGuard, TypeVar, get_type_hints
 
 from kb.exceptions import AmbiguousName, InvalidValue, ModelError, UnknownName
 from kb.status import OPERATORS, STATUSES, Status
@@ -254,8 +254,29 @@ def _one_of(what: str, options: type[StrEnum], *, can_change: bool = True) -> Fi
     return Field(lambda _, __, value: choice(what, options, value), can_change)
 
 
-Owner = Any
-"""A model: its module imports this one."""
+class Owner(Protocol):
+    """A model, for its elements and for those who read it; see `Model`."""
+
+    name: str
+    actions: Mapping[str, "Action"]
+    attributes: Mapping[str, "Attribute"]
+    tables: Mapping[type, Mapping[Any, Any]]
+    notes: list[str]
+    places: dict["Element | Constraint", str]
+
+    @property
+    def constraints(self) -> tuple["Constraint", ...]: ...
+    @property
+    def estimations(self) -> tuple["Estimation", ...]: ...
+    @property
+    def facts(self) -> tuple["Fact", ...]: ...
+    def change(self, element: "Changeable | str", **fields: object) -> None: ...
+    def constrain(
+        self, elements: Iterable["Constrainable"], *expressions: "Expression"
+    ) -> tuple["Constraint", ...]: ...
+    def state(
+        self, cls: type[T], values: Mapping[str, Any], constraints: Iterable["Expression"] = ()
+    ) -> T: ...
 
 
 @dataclass(frozen=True)
@@ -268,7 +289,7 @@ class Expression:
     attribute: str
     operator: str
     value: float
-    model: Owner = field(default=None, repr=False, compare=False)
+    model: Owner | None = field(default=None, repr=False, compare=False)
     hysteresis: float = 0.0
     dwell: float = 0.0
 
@@ -357,8 +378,7 @@ def _element_of(model: Any, cls: type, name: str) -> Any:  # noqa: ANN401  # a m
 class _Constrainable(Element):
     def constrain(self, *expressions: Expression) -> tuple[Constraint, ...]:
         """Add one constraint per expression to this element, or none if one of them is refused."""
-        added: tuple[Constraint, ...] = self.model.constrain([self], *expressions)
-        return added
+        return self.model.constrain([self], *expressions)  # type: ignore[list-item]  # a subclass is one of the four
 
 
 @dataclass(frozen=True, eq=False)
@@ -510,9 +530,7 @@ class Component(_Estimable):
         The lowest priority number is tried first.
         """
         stated = {"name": name, "component": self, "parameters": parameters or {}}
-        stated["priority"] = priority
-        declared: Configuration = self.model.state(Configuration, stated, constraints)
-        return declared
+        return self.model.state(Configuration, {**stated, "priority": priority}, constraints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -543,8 +561,7 @@ class Function(Element):
         The lowest priority number is tried first.
         """
         stated = {"name": name, "function": self, "components": components, "priority": priority}
-        declared: FunctionDesign = self.model.state(FunctionDesign, stated, constraints)
-        return declared
+        return self.model.state(FunctionDesign, stated, constraints)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ from kb.exceptions import InvalidValue, KnowledgeBaseError, ModelError, UnknownN
 from kb.files import ModelFileError, read_text
 from kb.state import State
 
-ModelT = TypeVar("ModelT")
+ModelT = TypeVar("ModelT", bound=elements.Owner)
 Answer = str | bool | int | float | None
 World = Any  # of owlready2, which has no types
 

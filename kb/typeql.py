@@ -22,7 +22,7 @@ from kb import elements
 from kb.exceptions import UnknownName
 from kb.files import ModelFileError, Place, read_text
 
-ModelT = TypeVar("ModelT")
+ModelT = TypeVar("ModelT", bound=elements.Owner)
 Query = Any  # a tree of lark
 
 _ROSA: Final = tomllib.loads(Path(__file__).with_name("typeql.toml").read_text(encoding="utf-8"))
