@@ -133,44 +133,50 @@ class _Writer:
         """Return tag and attributes of a behaviour that is not from a file."""
         kind = type(node)
         attributes = {"name": node.name}
-        problem = ""
-        if kind in _TAGS:
-            tag = _TAGS[kind]
-            if isinstance(node, Sequence | Selector):
-                tag = tag if node.memory else f"Reactive{tag}"
-                problem = "" if node.children else "it has no children"
-            elif isinstance(node, Timer | Timeout | Delay):
-                milliseconds = f"{node.duration * 1000:.12g}"
-                problem = "" if milliseconds.isdigit() else "XML has whole milliseconds"
-                attributes.update(dict.fromkeys(NODES[tag].PORTS, milliseconds))
-        else:
-            known = self._registry or BehaviourRegistry(kb=None)
-            name = known.name_of(node)
-            tag = name or kind.__name__
-            registration = known.entries.get(tag) or Registration(kind, {"kb": None})
-            if name or not (self._registry or node.children or tag in NODES):
-                problem = wrong_id(tag)
-                for argument in {**registration.arguments, **ports_of(node)}:
-                    parameter = registration.parameters.get(argument)
-                    try:
-                        value = getattr(node, argument)
-                    except (
-                        AttributeError,
-                        RuntimeError,
-                    ):  # RuntimeError: a port that is not connected
-                        if registration.factory is kind:
-                            problem = f"it has no attribute {argument!r}, with which it was made"
-                        continue
-                    if value is not None and (parameter is None or value != parameter.default):
-                        text = str(value)
-                        attributes[argument] = text.lower() if isinstance(value, bool) else text
-                        if not isinstance(value, bool | int | float | str):
-                            problem = f"its attribute {argument!r} is neither a number nor a text"
-            else:
-                problem = "it is not registered, and has no exact counterpart in BehaviorTree.CPP"
+        source = self._known_source if kind in _TAGS else self._own_source
+        tag, problem = source(node, attributes)
         if problem:
             self.problems.append(f"{kind.__name__} {node.name!r} cannot be written: {problem}")
         return tag, attributes
+
+    def _known_source(self, node: Behaviour, attributes: dict[str, str]) -> tuple[str, str]:
+        """Return tag and problem of a behaviour that XML has, and add its attributes."""
+        tag = _TAGS[type(node)]
+        problem = ""
+        if isinstance(node, Sequence | Selector):
+            tag = tag if node.memory else f"Reactive{tag}"
+            problem = "" if node.children else "it has no children"
+        elif isinstance(node, Timer | Timeout | Delay):
+            milliseconds = f"{node.duration * 1000:.12g}"
+            problem = "" if milliseconds.isdigit() else "XML has whole milliseconds"
+            attributes.update(dict.fromkeys(NODES[tag].PORTS, milliseconds))
+        return tag, problem
+
+    def _own_source(self, node: Behaviour, attributes: dict[str, str]) -> tuple[str, str]:
+        """Return tag and problem of a behaviour of the user, and add its attributes."""
+        kind = type(node)
+        known = self._registry or BehaviourRegistry(kb=None)
+        name = known.name_of(node)
+        tag = name or kind.__name__
+        if not name and (self._registry or node.children or tag in NODES):
+            return tag, "it is not registered, and has no exact counterpart in BehaviorTree.CPP"
+        registration = known.entries.get(tag) or Registration(kind, {"kb": None})
+        problem = wrong_id(tag)
+        for argument in {**registration.arguments, **ports_of(node)}:
+            parameter = registration.parameters.get(argument)
+            try:
+                value = getattr(node, argument)
+            except (AttributeError, RuntimeError):  # the latter: a port that is not connected
+                if registration.factory is kind:
+                    problem = f"it has no attribute {argument!r}, with which it was made"
+                continue
+            if value is None or (parameter is not None and value == parameter.default):
+                continue
+            text = str(value)
+            attributes[argument] = text.lower() if isinstance(value, bool) else text
+            if not isinstance(value, bool | int | float | str):
+                problem = f"its attribute {argument!r} is neither a number nor a text"
+        return tag, problem
 
 
 def _places(root: Behaviour) -> list[tuple[Behaviour, Behaviour | None]]:
