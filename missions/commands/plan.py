@@ -51,16 +51,17 @@ def plan(
 ) -> None:
     """Plan, say why actions are out or why there is no plan, and exit with 0 if there is one."""
     named = find_mission(mission) if mission else None
-    if len(files or []) != (0 if named else 2):
-        given = ", ".join(map(str, [*(files or []), *([mission] if mission else [])])) or "nothing"
+    paths = files or []
+    if len(paths) != (0 if named else 2):
+        given = [*map(str, paths), *filter(None, [mission])]
         advice = "give a domain and a problem file, or a mission with --mission NAME"
-        raise MissionError(f"{advice}, not {given}")
+        raise MissionError(f"{advice}, not {', '.join(given) or 'nothing'}")
     if certificate and svg:
         raise MissionError("a certificate is many plans, and --svg draws one; leave out one")
     if failures is not None and not certificate:
         raise MissionError("--failures says how much to certify; add --certificate")
     question = ask(
-        files or [],
+        paths,
         named,
         model or [],
         situation=situation or [],
