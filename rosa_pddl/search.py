@@ -221,7 +221,7 @@ class Grounded:
         if domain.only_planned:
             raise UnsearchableError("facts change by themselves")
         self.base = frozenset(atom for atom in base if not atom.startswith("(= "))
-        self._derived = domain.derived
+        self._domain = domain  # kept, as a planner knows domains by the identity of their caches
         rules = {schema: self._rule(domain, schema) for schema in domain.schema_of.values()}
         further = chain.from_iterable(_further_rules(domain, *each) for each in rules.items())
         join = Join([*rules.values(), *further])
@@ -266,7 +266,7 @@ class Grounded:
         provided = {effect.name for effect in schema.start_effects}
         parts = [*schema.start, *(part for part in late if part[1] not in provided)]
         needed = [(part[1], part[2]) for part in conjuncts(parts) if part[0] == "atom"]
-        return [literal for literal in needed if literal[0] not in self._derived]
+        return [literal for literal in needed if literal[0] not in self._domain.derived]
 
     def _ground(self, domain: Domain, schema: Schema, row: tuple[str, ...]) -> GroundStep:
         step = domain.step(schema.name, row)

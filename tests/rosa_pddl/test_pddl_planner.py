@@ -1,7 +1,9 @@
+import gc
 import os
 import subprocess
 import sys
 import threading
+import weakref
 from concurrent.futures import CancelledError
 from pathlib import Path
 
@@ -291,6 +293,20 @@ def test_closing_the_planner_ends_what_runs(extended, slow, tmp_path, monkeypatc
     assert "closed" in future.result(120.0).message
     wait_until_dead(child)
     assert list(folder.iterdir()) == []
+
+
+def test_domain_that_was_grounded_is_kept_as_its_identity_counts():
+    # another domain at the same place in memory would get its steps
+    planner = Planner()
+    domain = parse_domain(
+        "(define (domain d) (:predicates (p) (q)) (:action go :precondition (p) :effect (q)))",
+        "(define (problem e) (:domain d) (:init (p)) (:goal (q)))",
+    )
+    assert planner.plan(problem_of(domain)).outcome.is_solved
+    reference = weakref.ref(domain)
+    del domain
+    gc.collect()
+    assert reference() is not None
 
 
 def test_planning_prints_nothing(extended, capfd):
